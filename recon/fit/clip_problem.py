@@ -266,7 +266,7 @@ class ClipProblem:
         return self.body.detected.pose(states).points_m
 
     def in_world(self, points_m: Array, size: float = 1.0) -> Array:
-        """Transform points (..., 3) of a body of nominal size, relative to `origin_m`, to the world."""
+        """Transform points (..., 3), m, relative to `origin_m`, of a body of nominal size to points in the world."""
         return self.origin_m + size * points_m
 
     @property

@@ -277,9 +277,12 @@ class _ReducedProblem:
     gradient: Array
     solved: SegmentFit
     states: Array
-    """Derivatives of the states with respect to the poses, and the states' own step, shape (T, D, 6V + 1)."""
+    """Negative derivatives of the states by the poses, shape (T, D, 6V + 1).
+
+    The last column is the negative step of the states at fixed poses.
+    """
     shared_step: Array
-    """Derivatives of the shared unknowns with respect to the poses, and the unknowns' own step, shape (P, 6V + 1)."""
+    """Negative derivatives of the P shared unknowns by the poses, shape (P, 6V + 1), with columns as in `states`."""
 
     def follow(self, step: Array) -> SegmentFit:
         """Return the segment with the unknowns predicted for a step (6V,) of the poses."""

@@ -355,7 +355,7 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras without a time offset, whose normal equations `_add_detections` adds together."""
+        """Return the cameras that took pictures at the frame times, for `_add_detections`; empty for fewer than two."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 

@@ -148,7 +148,11 @@ class _NormalEquations(NamedTuple):
 def _normal_equations(
     body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array
 ) -> _NormalEquations:
-    """Return the normal equations of the squared distances, and of the pull towards the expected angles."""
+    """Return the normal equations of the squared distances, and of the pull towards the expected angles.
+
+    `targets` (N, J, 3) are the points, m, `weight` (N, J) holds 1 for known points and 0 for missing ones, and `pull`
+    is `pull_m_per_rad` of `solve_points`.
+    """
     N, D = states.shape
     pose = body.tree.pose_with_jacobian(states, size)
     jacobian = (pose.jacobian * weight[..., None, None]).reshape(N, -1, D)
@@ -165,14 +169,20 @@ def _normal_equations(
 
 
 def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
-    """Return the cost of each frame, (N,): half the squared distances plus the pull towards the expected angles."""
+    """Return the cost of each frame, (N,): half the squared distances plus the pull towards the expected angles.
+
+    The parameters are as in `_normal_equations`.
+    """
     residual = (body.tree.pose(states, size).points_m - targets) * weight[..., None]
     pulled = pull * (states[:, PITCH:] - body.mean_rad)
     return 0.5 * ((residual**2).sum(axis=(1, 2)) + (pulled**2).sum(axis=1))
 
 
 def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:
-    """Return the states that minimise each frame's cost, by Levenberg-Marquardt with a damping for each frame."""
+    """Return the states that minimise each frame's cost, by Levenberg-Marquardt with a damping for each frame.
+
+    The search begins at the states `start` (N, D). The other parameters are as in `_normal_equations`.
+    """
     states, damping, diagonal = start.copy(), np.full(len(start), 1e-3), np.arange(start.shape[1])
     cost = _cost(body, targets, weight, size, pull, states)
     for active in np.array_split(np.arange(len(states)), range(_BLOCK, len(states), _BLOCK)):
@@ -194,7 +204,10 @@ def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, 
 
 
 def _log_size_step(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> float:
-    """Return the Gauss-Newton step of the logarithm of the size, with the states eliminated at their minimum."""
+    """Return the Gauss-Newton step of the logarithm of the size, with the states eliminated at their minimum.
+
+    The parameters are as in `_normal_equations`.
+    """
     curvature = gradient = 0.0
     for first in range(0, len(states), _BLOCK):
         block = slice(first, first + _BLOCK)

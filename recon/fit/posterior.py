@@ -159,7 +159,7 @@ class Curvature:
     shared_precision: Array
     """Precision S of all shared unknowns, with the states eliminated, shape (1 + P, 1 + P)."""
     shared_gradient: Array
-    """Gradient with respect to the shared unknowns, with the states at their minimum, shape (1 + P,)."""
+    """Gradient of the cost by the shared unknowns, with the states at their minimum, shape (1 + P,)."""
     expected_precision: Array
     """Contribution of each shared unknown's prior to its precision, shape (1 + P,)."""
     covariance_root: Array

@@ -38,7 +38,7 @@ class SegmentFit:
     prior_weight: float = 1.0
     """Factor on the weight of the prior, 0 to 1."""
     windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
-    """Frames of each window, and the solutions of its starts after the approach, the best first."""
+    """Frames of each window, and the solutions that the approach reached from its starts, the best first."""
     iterations: int = 0
 
     @classmethod
@@ -76,7 +76,11 @@ def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
 def solved_views(
     views: Sequence[View], offsets: Iterable[float], corrections: Iterable[Array], focal_scales: Iterable[float]
 ) -> tuple[View, ...]:
-    """Return views after adding time offsets (in frames) and correcting the cameras' poses and focal lengths."""
+    """Return views after adding time offsets (in frames) and correcting the cameras' poses and focal lengths.
+
+    Each argument has one item for each view. `corrections` are as in `View.corrected`, and `focal_scales` are the
+    logarithms of factors on the focal lengths.
+    """
     return tuple(
         replace(view, offset_frames=view.offset_frames + frames).corrected(correction).with_focal_scale(factor)
         for view, frames, correction, factor in zip(views, offsets, corrections, focal_scales, strict=True)

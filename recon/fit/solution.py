@@ -459,7 +459,7 @@ def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
 def _frame_flags(
     clip: ClipProblem, joints_m: Array, weight: Array, alternative_m: Array, out_of_sight: Bools
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the flags of each frame, (T,), from joints (T, J, 3), weights (V, T, J) and further masks."""
+    """Return the flags of each frame, (T,), from arrays of the solution and a mask (T,) of frames out of sight."""
     detected = clip.present().sum(axis=1)
     trusted = np.where(np.isfinite(weight), weight, 0.0).max(axis=0).sum(axis=1)
     usual_trusted = np.percentile(trusted[detected > 0], 90) if detected.any() else 0.0

@@ -149,16 +149,16 @@ class PointRows:
     residual: Array
     """Weighted residuals of the detections, shape (N, J, 2)."""
     by_point: Array
-    """Derivatives with respect to the markers at nominal size, shape (N, J, 2, 3)."""
+    """Derivatives of the residuals with respect to the markers at nominal size, 1/m, shape (N, J, 2, 3)."""
     by_shared: dict[str, Array]
-    """Derivatives (N, 2J, P) with respect to the size and the camera's unknowns except its keypoint bias.
+    """Derivatives (N, 2J, P) of the residuals by the size and the camera's unknowns except its keypoint bias.
 
     The keys are the names of the unknowns.
     """
     number: int = 0
     """Index of the view among the clip's views."""
     by_bias: Array | None = None
-    """Derivatives of each coordinate with respect to the same coordinate of the joint's keypoint bias, shape (N, J).
+    """Derivatives of each residual with respect to the same coordinate of the joint's keypoint bias, shape (N, J).
 
     The derivatives are None if the bias is fixed.
     """
@@ -500,7 +500,7 @@ class Reprojection:
         return span.shared.get(keypoint_bias(self.number))
 
     def _by_scene(self, span: Span, scene: Scene, by_point: Array) -> dict[str, Array]:
-        """Return the derivatives with respect to the size and the time offset, if they are unknowns."""
+        """Return the residuals' derivatives with respect to the size and the time offset, if they are unknowns."""
         N, J = by_point.shape[:2]
         by_shared: dict[str, Array] = {}
         if SIZE in span.shared:

@@ -449,7 +449,7 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
 
 
 def validity_text(gait_name: str) -> str:
-    """Return sentences on the animals and gaits for which forces were validated, and on assumptions for this gait."""
+    """Return sentences on the animals and gaits for which forces were validated, and on assumptions for one gait."""
     validated = "Forces were validated on galloping cheetahs on level ground."
     if "gallop" in gait_name:
         return validated

@@ -81,7 +81,7 @@ MIN_STANCE_S = 0.02
 The stances of galloping cheetahs last 0.06 s or more (`python benchmarks/gait.py --only stances`).
 """
 SLOPE_SIGMA = 0.1
-"""Standard deviation of the prior on the slopes of the ground, in height per distance."""
+"""Standard deviation of the prior on the slopes of the ground, in metres per metre."""
 HEIGHT_SIGMA_M = 0.03
 """Standard deviation of a standing foot's marker about the ground plane."""
 

@@ -474,7 +474,7 @@ class RobotSamples:
 
     @property
     def quaternions(self) -> Array:
-        """Return quaternions xyzw, shape (K, B, 4), each with the sign nearer to the previous one."""
+        """Return the bodies' quaternions xyzw, shape (K, B, 4), with signs that make them continuous in time."""
         flat = Rotation.from_matrix(self.turned.reshape(-1, 3, 3)).as_quat(canonical=True)
         quaternions = flat.reshape(len(self.time_s), len(self.bodies), 4)
         flips = np.sign(np.sum(quaternions[1:] * quaternions[:-1], axis=2))
