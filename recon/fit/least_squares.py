@@ -186,7 +186,7 @@ class LeastSquares:
         return lambda: whole
 
     def middle_piece(self, states: Array, shared: Mapping[str, Array]) -> tuple[slice, Normal]:
-        """Return the rows of the piece in the middle of a clip, and its normal equations."""
+        """Return the slice of frames in the middle piece of a clip, and the normal equations of this piece."""
         T, stops = len(states), self._stops(len(states))
         if len(stops) == 1:
             return slice(0, T), self.normal(states, shared)
@@ -239,7 +239,7 @@ class LeastSquares:
             start = stop
 
     def _add_span(self, sums: _Sums, span: Span, start: int) -> None:
-        """Add the normal equations of a span's non-linear terms to `sums`, whose first row is frame `start`."""
+        """Add the normal equations of a span's non-linear terms to `sums`, whose first frame is `start`."""
         by_shape, first = self._by_shape(span), span.first - start
         merged = self._cameras_in_step(span)
         if merged:
@@ -432,11 +432,11 @@ def _add_detections(
 ) -> None:
     """Add the normal equations of several cameras' detections, in place.
 
-    The result is the same as from `add_normal` and `_add_shared` with the rows of each camera. The residuals of a
+    The result is the same as from `add_normal` and `_add_shared` with each camera's residuals. The residuals of a
     camera depend on a marker only through its position p, with the derivatives B (2, 3). The position has the
     derivatives A with respect to the state, L with respect to the lengths, and R with respect to the marker's own
     keypoint bias. If W is the sum of B'B over the cameras, the curvature is A'W A, A'W L and so on, so the wide
-    products are computed once for all cameras. `start` is the frame of the first row.
+    products are computed once for all cameras. `start` is the first frame of the sums.
     """
     A = span.pose.jacobian[span.own_rows]
     (N, J), D = A.shape[:2], A.shape[3]
@@ -641,8 +641,8 @@ def _add_shared(
 ) -> None:
     """Add a term's normal equations for the shared unknowns in place: J'K to border, K'K to corner, K'r to gradient.
 
-    K holds the derivatives of the term's rows with respect to the unknowns of `columns`. The term's first frame is in
-    row `first`.
+    K holds the derivatives of the term's residuals with respect to the unknowns of `columns`. The term's first frame
+    has the index `first` in the border.
     """
     by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
     if not by_shared:

@@ -301,7 +301,7 @@ def _segment_arrays(
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(segment_posterior.covariance_m2, by_size, size, size_sigma)
-    # with several cameras, the others determine the rotation of each one
+    # with several cameras, the rotation of each is determined by the other cameras
     if len(views) == 1 and views[0].rotation_sigma_rad is not None:
         covariance_m2 += views[0].rotation_covariance_m2(joints_m)
     yield "states", in_world

@@ -9,8 +9,8 @@ weighted deviation to the cost. `Reprojection` compares with the detections, `po
 Jacobian J (N, M, S, D) and a dictionary of the derivatives (N, M, P) by unknowns that all frames share. J'r is
 the exact gradient of the cost, and J'J its curvature. Residuals are divided by standard deviations and multiplied by
 the square root of a robust loss's slope, so the cost is not half of r'r. The stencil (S,) holds the offsets of the
-frames that a row reads. The offsets are at most (-1, 0, 1) in a `Linear` term, and (0, 1) in a class, because spans
-overlap by one frame.
+frames that a residual reads. The offsets are at most (-1, 0, 1) in a `Linear` term, and (0, 1) in a class, because
+spans overlap by one frame.
 
 **Size.** States belong to a body of nominal size in a scene about an origin, the first camera's centre. The point p of
 this scene lies at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a

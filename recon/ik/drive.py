@@ -45,7 +45,7 @@ class Run:
     dq: Array
     """Rates of the joints on leaving each configuration, shape (K, n), rad/s.
 
-    The last row is 0 at a target, the first row again on a closed path, and the rates of the last step on an open path.
+    The last row is 0 at a target, equals the first row on a closed path, and repeats the last rates on an open path.
     """
     interval_s: float
     """Time from one configuration to the next, seconds."""
