@@ -359,6 +359,8 @@ def is_right(file: File, code: str) -> bool:
 
     A jump is right if the truth does not jump there. Swapped sides are right if, in some frames, the exchanged
     detections are nearer to the truth, summed over all points with a side.
+
+    `code` is the code of the finding.
     """
     if file.expected_px is None:
         return False

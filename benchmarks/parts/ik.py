@@ -204,6 +204,8 @@ def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
     """Follow a circle, and return the smallest degree of closure of any joint as a string.
 
     The string has the closure of the angle and the closure in the plane of angle and rate.
+
+    `q` are the joint angles at the start, and `name` is the method's name.
     """
     method = methods(chain).get(name)
     if method is None:

@@ -123,6 +123,9 @@ def predictions(
     """Predict a left-out camera's keypoints by each method, and return them with the duration of the fit, seconds.
 
     `peer_m` has the positions (T, J, 3) from aniposelib, metres, or is None.
+
+    `seen` are the indices of the cameras that are used, and `out` is the index of the left-out camera. `kept` is a file
+    for the solution of the fit, or None.
     """
     views, view, made = [clip.views[c] for c in seen], clip.views[out], {}
     solution = solved(clip, views, kept)

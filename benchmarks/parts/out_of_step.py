@@ -75,7 +75,10 @@ def rows(run: Run) -> Iterator[dict]:
         return solve_trajectory(views_of(sources), body, prior, fps, options)
 
     def found(other: Source) -> tuple[float, float, float]:
-        """Estimate the time offset, and return it with its standard deviation, frames, and the MPJPE, mm."""
+        """Estimate the time offset, and return it with its standard deviation, frames, and the MPJPE, mm.
+
+        `other` is the source of the second camera.
+        """
         noise = (options.sigma_px, options.keypoint_noise_m(body))
         sources, solution = solve_time_offsets([first, other], [0.0, 0.0], solve, *noise)
         truth_m = np.full((len(sources[0].keypoints.frames), *run.truth_m.shape[1:]), np.nan)

@@ -89,7 +89,10 @@ def likelihood(off: np.ndarray) -> np.ndarray:
 
 
 def inside(some: Sequence[Fit], what: str, nu: float) -> str:
-    """Format the fractions of errors inside the regions of each of `LEVELS`, for `nu` degrees of freedom."""
+    """Format the fractions of errors inside the regions of each of `LEVELS`, for `nu` degrees of freedom.
+
+    `what` is one of `KINDS`, the pose or the position.
+    """
     return " ".join(f"{np.mean([np.mean(fit.off[what] < radius(p, 3, nu)) for fit in some]):.3f}" for p in LEVELS)
 
 

@@ -73,6 +73,8 @@ def fit(clip: Clip, name: str, as_given: bool = False) -> tuple[Motion, Given] |
     """Fit a clip with the change of a case, or return None if the fit is refused.
 
     If `as_given` is true, the poses of the cameras are not refined.
+
+    `name` is the name of the case in `wrong_inputs.py`.
     """
     case = CASES[name]
 

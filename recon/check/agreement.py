@@ -241,6 +241,8 @@ def _exchanged_pair(ratios: Array, trials: Mapping[tuple[int, int], Array], limi
     """Return the two cameras whose error ratios are best explained by exchanged files, or None.
 
     `trials` has the error ratios of all cameras after exchanging the files of each pair.
+
+    `limit` is the largest error ratio of cameras that agree.
     """
     explained = {
         pair: np.nansum(after_exchange)
@@ -279,7 +281,10 @@ def _gain(comparison: Comparison) -> float:
 
 
 def _code(comparison: Comparison, limit: float) -> str:
-    """Return the code of the cause that leaves the smallest error ratio; "camera_off" if no cause explains enough."""
+    """Return the code of the cause that leaves the smallest error ratio; "camera_off" if no cause explains enough.
+
+    `limit` is the largest error ratio of cameras that agree.
+    """
     likeliest = min(
         (ratio, code) for code, ratio in {**_causes(comparison), "camera_off": np.inf}.items() if not np.isnan(ratio)
     )
@@ -300,6 +305,8 @@ def _agreeing_group(sights: Sequence[Sight], fps: float, limit: float, points_of
     The last two of three cameras can only be compared with each other, and two cameras that stand side by side may
     agree in spite of a time offset. The first camera to be removed is therefore one that a rotation or an offset would
     bring into agreement with both others.
+
+    `limit` is the largest error ratio of cameras that agree.
     """
     agreeing = tuple(range(len(sights)))
     while not _are_within(error_ratios(sights, agreeing, points_of), limit):

@@ -70,6 +70,8 @@ def _best_offset(sight: Sight, partner_sights: Sequence[Sight], reach: int, rows
     """Return the time offset, up to ±`reach` frames, with the lowest mean error ratio; NaN if unknown.
 
     The offset is 0 unless another offset is clearly better.
+
+    Only the frames `rows` are compared.
     """
     offsets = np.arange(-reach, reach + 1)
     partners = [partner.part(rows) for partner in partner_sights]

@@ -159,6 +159,8 @@ def _by_gain(
 
     Detections with equal or unknown gains are sorted by distance. Distance alone would be a poor order, because the
     robust loss ignores very distant detections, so that their correction changes the pose little.
+
+    At most `limit` detections are returned.
     """
     keys = np.where(chosen, -distance_px, 0.0), -np.nan_to_num(gain_m2), ~is_gross, ~chosen
     order = np.lexsort([key.ravel() for key in keys])
@@ -169,6 +171,8 @@ def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple
     """Return the chosen detections as (view, frame, joint), each with the largest gain that is left at its turn.
 
     A listed detection lowers the gain of the same keypoint within about `tau` frames.
+
+    At most `limit` detections are returned.
     """
     left_m2 = np.where(chosen, gain_m2, -np.inf)
     frames, cells = np.arange(gain_m2.shape[1]), []

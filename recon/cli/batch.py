@@ -196,7 +196,10 @@ def _table(summary: Summary) -> list[Table | str]:
 
 
 def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:
-    """Return the actions planned for each clip, and the problems with the inputs."""
+    """Return the actions planned for each clip, and the problems with the inputs.
+
+    If `strict` is true, the exit code is 1 if any clip has problems.
+    """
     rows: list[dict[str, Any]] = [
         {
             "clip": planned.clip.name,

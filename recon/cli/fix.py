@@ -157,7 +157,10 @@ def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output |
 
 
 def _require_length(frames: Integers, video: Path, start: int) -> None:
-    """Raise InputError if the video states fewer frames than the clip needs."""
+    """Raise InputError if the video states fewer frames than the clip needs.
+
+    `frames` are the clip's frame numbers, and `start` is the number of the video's first frame.
+    """
     stated, needed = probe(video).stated_frames, int(frames.max()) + 1 - start
     if stated is not None and stated < needed:
         expected = f"{needed} or more: the video of this clip, or --first-frame for a video that was cut"
@@ -168,6 +171,8 @@ def _decode(frames: Integers, video: Path, start: int, folder: Path, console: Co
     """Write every frame of the clip as a picture that is named after the index of the frame in the clip.
 
     A message reports a video that ends before the clip.
+
+    `frames` are the clip's frame numbers, and `start` is the number of the video's first frame.
     """
     try:
         for _, row, _, picture in clip_frames(frames, video, start):

@@ -317,6 +317,8 @@ class PagePictures(NamedTuple):
 def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: int) -> PagePictures:
     """Return the pictures for a result's page: up to `count` stills, and the pictures of the page's player.
 
+    `number` is the index of the camera that recorded the video.
+
     Raises
     ------
     InputError

@@ -308,7 +308,10 @@ def _run_stage(
 
 
 def _require_own(name: str, stage: _Stage, job: _Job, record: Record, must_run: bool) -> None:
-    """Raise InputError for files that the stage may not replace, or that another command made without --overwrite."""
+    """Raise InputError for files that the stage may not replace, or that another command made without --overwrite.
+
+    `name` is the name of the stage. If `must_run` is true, files of other commands are not checked.
+    """
     stage.output.require(stage.names)
     present = [path for path in (stage.output.folder / file for file in stage.names) if os.path.lexists(path)]
     if present and name not in record.rows and not must_run and not job.run.overwrite:

@@ -239,7 +239,10 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
 
 
 def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None) -> Camera:
-    """Return the camera of a record, or raise InputError with every problem."""
+    """Return the camera of a record, or raise InputError with every problem.
+
+    A camera without a name in the record is called cam followed by `number`.
+    """
     values, camera = record.values, None
     faults: dict[str, tuple[str, str]] = {}
     """Found and expected value of each wrong field."""

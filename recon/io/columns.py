@@ -394,7 +394,10 @@ def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.nd
 
 
 def _times_of(cells: _Cells, clock: str, is_by_name: bool) -> np.ndarray:
-    """Return the time of each row, in seconds, or raise InputError for times of an unknown form or unit."""
+    """Return the time of each row, in seconds, or raise InputError for times of an unknown form or unit.
+
+    `clock` is the name of the column with the times.
+    """
     stamps = seconds(cells.table[clock][row] for row in cells.rows)
     if stamps is not None:
         return stamps

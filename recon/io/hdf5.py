@@ -333,7 +333,10 @@ def _require_readable(dataset: h5py.Dataset) -> None:
 
 
 def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:
-    """Return whether an HDF5 type is a number, a string, or a record of numbers, strings or arrays of these."""
+    """Return whether an HDF5 type is a number, a string, or a record of numbers, strings or arrays of these.
+
+    `inside` states whether the type is part of a record, in which arrays are allowed and records are not.
+    """
     type_class = kind.get_class()
     if type_class == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]

@@ -180,6 +180,8 @@ def _parameters(section: bytes, order: str) -> Parameters:
     A record has the length of the name (negative if locked), the number of the group (negative for the group itself),
     the name, the distance from the end of the name to the next record, and for a parameter its type, dimensions and
     data.
+
+    `order` is the byte order of numbers, "<" or ">".
     """
     groups: dict[int, str] = {}
     by_group: dict[int, dict[str, Any]] = {}
@@ -202,7 +204,10 @@ def _parameters(section: bytes, order: str) -> Parameters:
 
 
 def _value(section: bytes, position: int, order: str) -> list[str] | np.ndarray:
-    """Return a parameter's data, which are strings (type -1), bytes (1), whole numbers (2) or floats (4)."""
+    """Return a parameter's data, which are strings (type -1), bytes (1), whole numbers (2) or floats (4).
+
+    `order` is the byte order of numbers, "<" or ">".
+    """
     kind, dimensions = struct.unpack_from("bB", section, position)
     shape = tuple(section[position + 2 : position + 2 + dimensions])
     position += 2 + dimensions

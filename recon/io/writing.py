@@ -79,6 +79,8 @@ def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
 def required_fps(fps: float | None, title: str) -> float:
     """Return the frame rate that a format requires.
 
+    `title` is the name of the format, for the error.
+
     Raises
     ------
     InputError
@@ -91,7 +93,10 @@ def required_fps(fps: float | None, title: str) -> float:
 
 
 def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: int = 65_535) -> None:
-    """Raise InputError for names that match the pattern `forbidden` or are too long."""
+    """Raise InputError for names that match the pattern `forbidden` or are too long.
+
+    `title` is the name of the format, for the error.
+    """
     problems = []
     for name in names:
         if match := re.search(forbidden, name):
@@ -103,6 +108,8 @@ def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: i
 
 def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarray:
     """Return values (T, ...) with rows of NaN for absent frame numbers.
+
+    `title` is the name of the format, for the error.
 
     Raises
     ------

@@ -274,6 +274,8 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
     """Draw the close-up into the corner with the fewest of the clip's joints, except the caption's corner.
 
     There is no close-up if it would not enlarge the animal enough.
+
+    `t` is the index of the frame, and `unit` the factor of line widths, 1 for a picture 1920 px wide.
     """
     height, width = picture.shape[:2]
     size = np.array([round(CLOSE_UP * width), round(CLOSE_UP * height)])
@@ -296,7 +298,10 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
 
 
 def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
-    """Draw the skeleton of one frame, and the detections on top of the skeleton."""
+    """Draw the skeleton of one frame, and the detections on top of the skeleton.
+
+    `t` is the index of the frame, and `unit` the factor of line widths, 1 for a picture 1920 px wide.
+    """
     xy, nearness_of_joint = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (nearness_of_joint[a] + nearness_of_joint[b]), a, b, colour)
@@ -333,7 +338,10 @@ def shade(colour: Colour, nearness: float) -> Colour:
 def _draw_caption(
     canvas: Image, overlay: Overlay, t: int | None, frame: int, size_px: tuple[int, int], unit: float
 ) -> None:
-    """Draw the frame number and the time, and for a flagged frame its flags and a border around the picture."""
+    """Draw the frame number and the time, and for a flagged frame its flags and a border around the picture.
+
+    `t` is the index of the frame, and `unit` the factor of line widths, 1 for a picture 1920 px wide.
+    """
     speed_text = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
     draw_text(canvas, f"frame {frame}   {quantity(frame / overlay.fps, 3, 's')}{speed_text}", (x, y), scale, INK)
@@ -389,7 +397,11 @@ def _draw_view(canvas: Image, overlay: Overlay, points_px: Array, nearness: Arra
 
 
 def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: int, unit: float) -> None:
-    """Draw a scale bar of a round length, about a fifth of the view."""
+    """Draw a scale bar of a round length, about a fifth of the view.
+
+    `box` has the left edge, upper edge, width and height of the view in pixels, `scale` is in pixels per metre, and
+    `unit` is the factor of line widths, 1 for a picture 1920 px wide.
+    """
     x, _, w, _ = box
     length = min((0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), key=lambda m: abs(math.log(m * scale / (0.2 * w))))
     start, end = np.array([[x + 0.5 * w, y], [x + 0.5 * w + length * scale, y]])

@@ -174,7 +174,10 @@ def _variance_row(row: Mapping[Any, Any], measures: Mapping[str, str]) -> dict[s
 def _plot(
     name: str, title: str, clips: pd.DataFrame, groups: pd.DataFrame, pages: Mapping[str, str]
 ) -> dict[str, Any] | None:
-    """Return a plot of a measure with a column for each group, or None if no clip has the measure."""
+    """Return a plot of a measure with a column for each group, or None if no clip has the measure.
+
+    `name` is the column of the measure in both tables, and `pages` has the address of each clip's page.
+    """
     if not clips[name].notna().any():
         return None
     clip_rows, group_rows = clips.to_dict("records"), groups.to_dict("records")

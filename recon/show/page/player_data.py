@@ -259,7 +259,10 @@ def _panel(
     curves: Mapping[Any, tuple[Array, Array, bool]],
     least: float | None = None,
 ) -> dict[str, Any]:
-    """Return one panel of curves, where `measured` is False for an angle that comes mostly from the prior."""
+    """Return one panel of curves, where `measured` is False for an angle that comes mostly from the prior.
+
+    `least` is the lower limit of the panel's vertical axis, if it has one.
+    """
     return {
         "title": title,
         "unit": unit,

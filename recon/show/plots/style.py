@@ -240,7 +240,10 @@ def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
 
 
 def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tuple[int, int]:
-    """Return the numbers of rows and columns of `count` panels on a page, each `aspect` times as high as wide."""
+    """Return the numbers of rows and columns of `count` panels on a page, each `aspect` times as high as wide.
+
+    There are at least `least` columns, unless there are fewer panels.
+    """
     columns = min(least, count)
     while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
         columns += 1
