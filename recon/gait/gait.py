@@ -240,7 +240,7 @@ def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options
     Raises
     ------
     InputError
-        If the pose lacks joints. The error names all of them.
+        If the pose lacks joints. The error names all missing joints.
     ValueError
         If there are fewer than `MIN_POINTS` frames.
     """

@@ -132,7 +132,7 @@ def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
     Raises
     ------
     InputError
-        If the pose lacks joints. The error names all of them.
+        If the pose lacks joints. The error names all missing joints.
     """
     lacking = [name for name in dict.fromkeys(names) if name not in pose.names]
     if lacking:

@@ -151,7 +151,7 @@ def pose_vector_field(
     Raises
     ------
     InputError
-        If the pose lacks joints. The error names all of them.
+        If the pose lacks joints. The error names all missing joints.
     ValueError
         If the chain has fewer than three joints.
     """

@@ -150,7 +150,7 @@ def _size_sigma(motion: Motion) -> float:
 
 
 def _focal_sigma(motion: Motion) -> float:
-    """Return the relative standard deviation of the speed from the error of the focal length.
+    """Return the relative standard deviation of the speed due to the error of the focal length.
 
     The focal length f scales the distance from the camera. An error of f therefore scales u, the component of the speed
     v along the line of sight, so that dv / v = (u / v)^2 df / f.

@@ -254,7 +254,7 @@ def pose_tracks(
     Raises
     ------
     InputError
-        If the pose lacks joints. The error names all of them.
+        If the pose lacks joints. The error names all missing joints.
     ValueError
         If there are fewer than `MIN_POINTS` frames.
     """
@@ -269,7 +269,7 @@ def pose_tracks(
         return series_kinematics(time_s, points_m, errors, propagate=(1,), **grid)
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
-        """Return the positions, the speeds and the standard deviations of the speeds of the foot with index `at`."""
+        """Return positions (N, 3), speeds (N,) and the speeds' standard deviations (N,) of the foot with index `at`."""
         series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
         velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
         deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]

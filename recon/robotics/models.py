@@ -116,7 +116,7 @@ def rates_of(path: Path) -> dict[str, float]:
 
 
 def body_names(model: MjModel) -> list[str]:
-    """Return the names of all bodies except the world, such as "body 3" for a body without a name."""
+    """Return the names of all bodies except the world. A body without a name gets one such as "body 3"."""
     return [model.body(k).name or f"body {k}" for k in range(1, model.nbody)]
 
 

@@ -313,7 +313,7 @@ _SAMPLE_STEP = 5
 """Step, in samples, of tests on a part of a motion. Five samples are half a frame."""
 _BISECTIONS = 25
 GROUND_BEND_HEIGHT = 0.05
-"""Height within which paths of swinging feet are bent away from the ground, as a fraction of the standing height."""
+"""Height below which paths of swinging feet are bent away from the ground, as a fraction of the standing height."""
 EASE_FRACTION = 0.28
 """Fraction of a swing in which a foot leaves or reaches its foothold."""
 PATH_BEND_FRACTION = 0.1

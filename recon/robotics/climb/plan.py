@@ -373,7 +373,7 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     Raises
     ------
     InputError
-        Unless all legs have a swing, a flap and a knee joint in closed form, the swing joint first.
+        If a leg is not given by its dimensions, or if its swing joint does not come first.
     """
     if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
         expected = "a robot such as aibo, with legs given by dimensions and the swing joint first"
