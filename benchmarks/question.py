@@ -25,7 +25,7 @@ TIMED = ("speed", "peers")
 
 @dataclass(frozen=True)
 class Part:
-    """A measurement by a script of `parts/` with certain arguments."""
+    """A measurement: a script of `parts/`, and the arguments with which it is run."""
 
     script: str
     arguments: Sequence[str] = ()

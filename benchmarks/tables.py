@@ -47,7 +47,7 @@ def pages() -> Iterator[Path]:
 
 
 def with_tables(text: str) -> str:
-    """Return a page as a string, with its measured tables updated."""
+    """Return the content `text` of a page, with its measured tables updated."""
 
     def replace(match: re.Match[str]) -> str:
         begin = match.group(0)[: match.start("table") - match.start()]

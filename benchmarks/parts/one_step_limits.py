@@ -104,7 +104,7 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
 
 
 def beyond_usual(deviations: Sequence[tuple[str, float]], untouched: Sequence[tuple[str, float]]) -> int:
-    """Count the deviations outside the middle three quarters of the untouched clips of other runs."""
+    """Count the deviations that lie outside the middle 75 % of the deviations of unchanged clips of other runs."""
     beyond = 0
     for run, value in deviations:
         usual = [usual_value for usual_run, usual_value in untouched if usual_run != run]

@@ -198,7 +198,7 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
 
 
 def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:
-    """Print the errors (V, DRAWS), mm, drawn from the stated covariances next to the real errors of the views."""
+    """Print errors (V, DRAWS), mm, that were drawn from stated covariances, and the real errors of the V views."""
     named = [view.named for view in views]
     rows = []
     for what in KINDS:

@@ -226,7 +226,7 @@ def write_bvh(rig: Armature, path: Path) -> None:
     lines, columns = ["HIERARCHY"], [rig.root_m]
 
     def add(kind: str, name: str, offset_m: np.ndarray, bone: int | None, depth: int) -> None:
-        """Append a bone, or a joint if `bone` is None."""
+        """Append the lines of a bone, or of a joint if `bone` is None, indented by `depth` levels."""
         margin = "  " * depth
         turns = () if bone is None else rig.bones[bone].turns
         angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}

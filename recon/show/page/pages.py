@@ -391,7 +391,7 @@ def median_error_px(motion: Motion) -> float:
 
 
 def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str, Any] | None:
-    """Return a plot of a quantity with a dot for each clip, or None for fewer than two clips."""
+    """Return a plot of the quantity `name` with a dot for each clip, or None for fewer than two clips."""
     values = {clip["cells"]["clip"]: float(value) for clip in clips if (value := clip["cells"].get(name))}
     if len(values) < 2:
         return None

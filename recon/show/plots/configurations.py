@@ -85,7 +85,7 @@ def composites(
     time_s : ndarray
         Times of the frames in seconds, shape (T,).
     ground : sequence, optional
-        Planes of the ground, each with the rows of the clip for which it holds.
+        Planes of the ground, each with the slice of the clip's frames for which the plane holds.
     title : str
         Title of the figure, or an empty string for none.
     sides : mapping

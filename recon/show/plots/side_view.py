@@ -50,8 +50,8 @@ def side_view(
     time_s : ndarray
         Times of the frames in seconds, shape (T,).
     grounds : sequence, optional
-        Planes of the ground, each with the rows of the clip for which it holds. Without a plane, a line touches the
-        lowest foot.
+        Planes of the ground, each with the slice of the clip's frames for which the plane holds. Without a plane, a
+        line touches the lowest foot.
     of_stride : bool
         Whether `during` is a stride. Poses are then labelled with the percent of the stride, otherwise with times in
         seconds.

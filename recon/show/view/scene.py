@@ -419,7 +419,7 @@ def write_pictures(motion: Motion, log: Log) -> None:
 
 
 def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None:
-    """Write the detections and reprojections of a picture, and the links between them."""
+    """Write the detections and reprojections of a picture, and the links between them, as children of `root`."""
     outliers, detected, reprojected = picture.outliers, picture.detected_px, picture.reprojected_px
     for entity, colour, selection in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
         is_shown = selection & np.isfinite(detected[..., 0])
