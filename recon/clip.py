@@ -232,7 +232,7 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
     if match is None or (start is not None and stop is not None and start >= stop):
-        expected = "A:B with A < B, original frame numbers and B excluded"
+        expected = "A:B with A < B, in original frame numbers, with B excluded"
         raise InputError(Problem("--frames", "range", f"'{text}'", expected))
     return start, stop
 

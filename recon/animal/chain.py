@@ -32,7 +32,7 @@ from recon.base import documents
 from recon.base.arrays import Array, Index
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
 from recon.base.errors import InputError, Problem, raise_problems
-from recon.base.numbers import percent
+from recon.base.numbers import counted, percent
 from recon.geometry.kinematics import PITCH, ROLL, Joint, Marker, Segment, Tree
 
 _SKELETONS = "animal/skeletons"
@@ -316,7 +316,10 @@ def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
     yield from unknown(source, [(f"length_m.{name}", name) for name in file.length_m], sorted(names))
     if len(names) + 1 < MIN_JOINTS:
         yield Problem(
-            source, "links", f"{len(names)}", f"at least {MIN_JOINTS - 1}: fewer joints do not determine a pose"
+            source,
+            "links",
+            counted(len(names), "link"),
+            f"at least {MIN_JOINTS - 1} links: fewer joints do not determine a pose",
         )
     if not any(link.theta is None and link.start == file.root for link in file.links):
         expected = f"one link from {file.root} without theta and phi: the body's forward axis is along it"

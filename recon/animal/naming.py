@@ -112,11 +112,13 @@ def load_names(name_or_path: str | Path) -> NameMap:
         if len(cells) != 2 or not cells[0] or not "".join(cells).isprintable():
             problems.append(Problem(source, f"line {i}", repr(line)[:60], _EXPECTED))
         elif cells[0] in names:
-            problems.append(Problem(source, f"line {i}", f"{cells[0]!r} again", "each name of the file only once"))
+            problems.append(
+                Problem(source, f"line {i}", f"{cells[0]!r} a second time", "each name of the file only once")
+            )
         elif tuple(cells) != HEADER or names:
             names[cells[0]] = cells[1]
     if not names and not problems:
-        problems = [Problem(source, "lines", "none", _EXPECTED)]
+        problems = [Problem(source, "lines", "no names", _EXPECTED)]
     raise_problems(problems)
     return NameMap(source, names)
 
@@ -159,7 +161,7 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
     known = [name for name in names if name_map.get(name) is not None]
     if not known:
         detail = f"{', '.join(name_map.names)}: none of them in {source}"
-        raise InputError(Problem(name_map.source, "names", detail, f"some of {', '.join(names)}"))
+        raise InputError(Problem(name_map.source, "names", detail, f"at least one of {', '.join(names)}"))
     old_names_by_new: dict[str, list[str]] = {}
     for name in names:
         old_names_by_new.setdefault(name_map.get(name, name) if name in known else name, []).append(name)
@@ -249,7 +251,7 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
     """
     detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} in the skeleton"
     if matching := skeleton_of(names):
-        return Problem(source, "bodyparts", detail, f"with these names: --skeleton {matching}")
+        return Problem(source, "bodyparts", detail, f"the skeleton of these names: --skeleton {matching}")
     maps, (options, count) = fitting_maps(names, wanted), fitting_skeleton(names)
     if count >= _MOST_OF_FILE * len(names) and f"--skeleton {skeleton} " not in f"{options} ":
         hint = f"{options}, or"
@@ -257,8 +259,12 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
         fits = maps and 2 * load_names(maps[0]).common(names, {*wanted}) >= min(len(names), len(wanted))
         hint = f"--rename {maps[0]}, or" if fits else "another animal's --skeleton, or"
         if maps and load_names(maps[0]).common(names, {*wanted}) == len(names):
-            return Problem(source, "bodyparts", detail, f"those of the skeleton {skeleton}: --rename {maps[0]}")
-    expected = f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
+            return Problem(
+                source, "bodyparts", detail, f"the names of the skeleton {skeleton}: give --rename {maps[0]}"
+            )
+    expected = (
+        f"the names of the skeleton {skeleton}: {', '.join(wanted)}; give {hint} --rename with a file of these lines, "
+    )
     return Problem(source, "bodyparts", detail, f"{expected}completed", tuple(map_to_write(names, wanted)))
 
 

@@ -119,7 +119,7 @@ def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, s
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
     if not lengths["K"]:
-        return [("weights", "none", "one number for each component")]
+        return [("weights", "no weights", "one number for each component")]
     for name, shape in SHAPES.items():
         array, expected = arrays[name], tuple(lengths[letter] for letter in shape)
         if array.shape != expected:

@@ -16,6 +16,7 @@ from recon.animal.body import Body
 from recon.animal.prior import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, raise_problems
+from recon.base.numbers import counted
 
 FRAMES_PER_COMPONENT = 20
 """Minimum number of frames per component of the Gaussian mixture.
@@ -91,8 +92,12 @@ def fit_prior(
     n_frames, problems = len(poses) // 2, []
     if n_frames < components * FRAMES_PER_COMPONENT:
         fits = n_frames // FRAMES_PER_COMPONENT
-        expected = f"{FRAMES_PER_COMPONENT} frames for each component" + (f", so at most {fits}" if fits else "")
-        problems.append(Problem("prior", "components", f"{components} for {n_frames} frames", expected))
+        expected = f"{FRAMES_PER_COMPONENT} frames for each component" + (
+            f", so at most {fits} components" if fits else ""
+        )
+        problems.append(
+            Problem("prior", "components", f"{counted(components, 'component')} for {n_frames} frames", expected)
+        )
     expected = f"one of {', '.join(dict.fromkeys(owners))}"
     problems += [Problem("prior", "apart", repr(s), expected) for s in apart if s not in owners]
     if not len(accelerations):

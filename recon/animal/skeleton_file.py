@@ -22,6 +22,7 @@ from recon.animal.body import FOOT_LABELS, MIN_JOINTS, Body, foot_problems, foot
 from recon.base import documents
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.numbers import counted
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 
@@ -230,8 +231,8 @@ def _segment_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[
         for angle in ANGLE_OF_AXIS.values():
             is_given = getattr(segment, angle) is not None
             if is_given != (angle in expected):
-                state = "an expectation" if is_given else "none"
-                wanted = f"{' and '.join(expected) or 'no angle'}, since its joint is {segment.joint}"
+                state = "an expected angle" if is_given else "no expected angle"
+                wanted = f"{' and '.join(expected) or 'no angle'}, since the segment's joint is {segment.joint}"
                 yield Problem(source, f"{row}.{angle}", state, wanted)
         segments.append(segment.name)
 
@@ -245,7 +246,12 @@ def _marker_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[P
         if marker.segment not in segments:
             yield Problem(source, f"markers[{i}].segment", repr(marker.segment), "the name of a segment")
     if len(markers) < MIN_JOINTS:
-        yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not determine a pose")
+        yield Problem(
+            source,
+            "markers",
+            counted(len(markers), "marker"),
+            f"at least {MIN_JOINTS} markers: fewer do not determine a pose",
+        )
 
 
 def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: str) -> Iterator[Problem]:
@@ -253,7 +259,12 @@ def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: s
     yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
     for name in sorted(segments):
         if name not in shares and other_side(name) not in shares:
-            yield Problem(source, f"mass.share.{name}", "none", "fraction and standard deviation, such as [0.05, 0.01]")
+            yield Problem(
+                source,
+                f"mass.share.{name}",
+                "nothing",
+                "a fraction of the mass and its standard deviation, such as [0.05, 0.01]",
+            )
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:

@@ -160,7 +160,7 @@ def find_clips(
     fits = [fit for draft in drafts for fit in collected(partial(_with_settings, draft, common, config), [])]
     raise_problems(dict.fromkeys((*problems, *_name_problems(drafts))))  # report a shared problem only once
     if not fits:
-        raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
+        raise InputError(Problem("INPUT", "clips", "no clips", "keypoint files, a folder of them, or a manifest"))
     drafts = [draft for draft, _ in fits]
     names = _names(drafts)
     missing = [] if cameras_by == NONE else _missing_cameras(drafts, names)
@@ -187,7 +187,7 @@ def _drafts_of(text: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
         return [_draft_of(file) for file in files], notes
     files = _matching_files(path)
     if not files:
-        raise InputError(Problem(text, "files", "none that match", "a pattern such as 'clips/*.csv'"))
+        raise InputError(Problem(text, "files", "no files that match", "a pattern such as 'clips/*.csv'"))
     if files == [path]:
         read_head(path)  # so that a misspelt name ends the batch before it begins
     drafts_by_file = (
@@ -387,7 +387,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
     for line_number, cells in islice(text_rows(path), 1, None):
         line = f"line {line_number}"
         if len(cells) > len(header):
-            problems.append(Problem(path, line, f"{len(cells)} cells", f"{len(header)}, as in the header"))
+            problems.append(Problem(path, line, f"{len(cells)} cells", f"{len(header)} cells, as in the header"))
         row = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if cell.strip()}
         row = {name: cell for name, cell in row.items() if name not in EXPERIMENT}
         if "keypoints" not in row:
@@ -400,11 +400,13 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
         values = {name: setting_in_folder(path.parent, name, value) for name, value in (row | lists).items()}
         files = [file for pattern in values.pop("keypoints") for file in _matching_files(Path(pattern))]
         if not files:
-            problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "a file"))
+            problems.append(
+                Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "one file or more")
+            )
             continue
         drafts.append(_Draft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:
-        problems.append(Problem(path, "rows", "none", "one row for each clip below the header"))
+        problems.append(Problem(path, "rows", "no rows", "one row for each clip below the header"))
     raise_problems(problems)
     return drafts
 

@@ -172,7 +172,7 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[CameraTrack]) -> tu
         return cameras
     if len(cameras) < len(settings.keypoints):
         actual = f"{len(cameras)} of the {len(settings.keypoints)} cameras"
-        expected = "one for each keypoint file: a file that has all of them, or --camera once for each"
+        expected = "a camera for each keypoint file: one camera file with all cameras, or --camera once for each"
         raise InputError(Problem(path, "camera", actual, expected))
     names = [camera.name for camera in cameras]
     chosen = {file: cameras_in(file.stem, names) for file in settings.keypoints}

@@ -314,7 +314,14 @@ def read_model(settings: FitSettings) -> tuple[Body, MotionPrior]:
 def _scaled_to_height(body: Body, height_m: float) -> Body:
     """Scale a body so that its withers have the given height above the feet in the expected pose."""
     if not body.feet:
-        raise InputError(Problem("--height-m", "height_m", f"{body.name}, which has no feet", "--set size"))
+        raise InputError(
+            Problem(
+                "--height-m",
+                "height_m",
+                f"the skeleton {body.name}, which has no feet",
+                "the size by --set size instead",
+            )
+        )
     heights_m = dict(zip(body.markers, body.expected_points_m()[:, 2], strict=True))
     withers = next((name for name in body.markers if "wither" in name.lower()), body.forward[1])
     usual_m = heights_m[withers] - min(heights_m[foot] for foot in body.feet)

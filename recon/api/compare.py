@@ -102,17 +102,23 @@ class CompareSettings(Settings):
         """Yield problems with options that are missing, or that exclude each other."""
         is_experiment = self.design is not None or self.names is not None
         if self.table is not None and is_experiment:
-            yield Problem("--table", "table", "another table of the clips", "one of --table, --design and --names")
+            yield Problem(
+                "--table", "table", "--design or --names as well", "only one of --table, --design and --names"
+            )
         elif self.design is not None and self.names is not None:
-            yield Problem("--names", "pattern", "a design as well", "one of --design and --names")
+            yield Problem("--names", "pattern", "--design as well", "only one of --design and --names")
         elif (self.table is None) != (self.by is None) and self.design is None:
-            yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
+            yield Problem("--by", "table", "only one of --table and --by", "both: a table, and a column of this table")
         if self.covariate and not is_experiment:
-            yield Problem("--covariate", "design", "nothing", "--design or --names, which identify the animals")
+            yield Problem(
+                "--covariate", "design", "no design of the clips", "--design or --names, which identify the animals"
+            )
         if self.names is not None:
             for covariate in self.covariate:
                 if covariate not in SPEED_NAMES:
-                    yield Problem("--covariate", "name", repr(covariate), "speed; a --design has others as columns")
+                    yield Problem(
+                        "--covariate", "name", repr(covariate), "speed, or a column of a table given by --design"
+                    )
         if not self.folders and not self.plan:
             yield Problem("DIR", "folders", "nothing", "folders of results, or of batches")
         if self.out is None and not self.plan:
@@ -215,7 +221,7 @@ def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
         folders += [path.parent for path in inside]
     names = [folder.absolute().name for folder in folders]
     raise_problems(
-        Problem(n, "clip", f"{names.count(n)} folders of that name", "one folder")
+        Problem(n, "clip", f"{names.count(n)} folders of that name", "one folder of each name")
         for n in {*names}
         if names.count(n) > 1
     )
@@ -396,7 +402,9 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
         raise InputError(Problem(table, "file", " ".join(str(error).split())[:200], "a CSV table")) from None
     columns = ", ".join(map(str, rows.columns))
     raise_problems(
-        Problem(table, "column", f"no {c!r} ({columns})", f"the columns 'clip' and {by!r}, separated by commas")
+        Problem(
+            table, "column", f"no column {c!r} among {columns}", f"the columns 'clip' and {by!r}, separated by commas"
+        )
         for c in ("clip", by)
         if c not in rows
     )

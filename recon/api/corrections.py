@@ -173,7 +173,8 @@ class CorrectionSession:
 
     def _checked(self, rows: object) -> list[Correction]:
         if not isinstance(rows, list) or len(rows) > MAX_CORRECTIONS:
-            raise InputError(Problem("corrections", "rows", type(rows).__name__, f"at most {MAX_CORRECTIONS} rows"))
+            actual = f"{len(rows)} rows" if isinstance(rows, list) else f"data of type {type(rows).__name__}"
+            raise InputError(Problem("corrections", "rows", actual, f"a list of at most {MAX_CORRECTIONS} rows"))
         today = datetime.now().astimezone().isoformat(timespec="seconds")
         known = {_key(row): row for row in self.corrections}
         checked = []

@@ -71,16 +71,23 @@ def design_of_table(path: Path, names: Sequence[str], by: str, covariates: Seque
     rows = [dict(zip(header, (cell.strip() for cell in cells), strict=False)) for cells in lines[1:]]
     required = ["animal", *([by] if by != "group" else []), *covariates]
     problems = [
-        Problem(path, "column", f"no {name!r} ({', '.join(header)})", "a column of this name, separated by commas")
+        Problem(
+            path,
+            "column",
+            f"no column {name!r} among {', '.join(header)}",
+            "a column of this name, separated by commas",
+        )
         for name in required
         if name not in header
     ]
     if not {"clip", "keypoints"} & {*header}:
-        problems.append(Problem(path, "column", f"no 'clip' ({', '.join(header)})", "a column with the folders' names"))
+        problems.append(
+            Problem(path, "column", f"no column 'clip' among {', '.join(header)}", "a column with the folders' names")
+        )
     raise_problems(problems)
     by_clip = {_clip_name(row): row for row in rows}
     raise_problems(
-        Problem(path, "clip", f"no row for {name}", "one for every clip") for name in names if name not in by_clip
+        Problem(path, "clip", f"no row for {name}", "one row for every clip") for name in names if name not in by_clip
     )
     return _design({name: by_clip[name] for name in names}, path, by, covariates)
 
@@ -152,7 +159,7 @@ def _design(
                 source,
                 f"{column} of run {run} of {animal}",
                 names_text([*map(str, values)]),
-                "the same in all its rows",
+                "the same value in all rows of the run",
             )
             for column in ("group", *covariates)
             if len(values := clips[column].unique()) > 1

@@ -75,7 +75,7 @@ def read_plan(texts: Sequence[str]) -> Plan:
         name, equals, text = word.partition("=")
         if not equals or name not in _WORDS:
             meant = get_close_matches(name, _WORDS, 1)
-            expected = f"perhaps {meant[0]}=..." if meant else f"words such as {_EXAMPLE}"
+            expected = f"a known word, perhaps {meant[0]}=..." if meant else f"words such as {_EXAMPLE}"
             problems.append(Problem(PLAN, "plan", repr(word), expected))
         values[name] = text
     raise_problems(problems)

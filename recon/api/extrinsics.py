@@ -138,7 +138,7 @@ def _with_stated_poses(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Ar
     """Return the cameras and their poses from the camera file, or raise InputError if a camera has no pose."""
     if unposed := [camera.name for camera in cameras if not camera.has_extrinsics]:
         expected = "a camera file with the poses of all cameras"
-        raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(unposed)}", expected))
+        raise InputError(Problem("--set refine-cameras", "poses", f"no poses of {', '.join(unposed)}", expected))
     return [*cameras], camera_poses(cameras)
 
 
@@ -282,11 +282,11 @@ def _prepared_by_camera(settings: FitSettings) -> list[ClipInputs]:
     rates = {inputs.fps for inputs in prepared}
     if len(rates) > 1:
         expected = "one frame rate for all cameras, or --fps"
-        raise InputError(Problem("KEYPOINTS", "fps", ", ".join(f"{rate:g}" for rate in sorted(rates)), expected))
+        raise InputError(Problem("KEYPOINTS", "fps", " and ".join(f"{rate:g} Hz" for rate in sorted(rates)), expected))
     camera_names = [inputs.sources[0].camera.name for inputs in prepared]
     if len(camera_names) < 2 or len(set(camera_names)) < len(camera_names):
         files = ", ".join(path.name for path in settings.keypoints)
-        raise InputError(Problem(files, "cameras", ", ".join(camera_names), "two or more, each once"))
+        raise InputError(Problem(files, "cameras", ", ".join(camera_names), "two or more cameras, each once"))
     return list(prepared)
 
 
@@ -295,7 +295,7 @@ def _all_cameras(prepared: Sequence[Sequence[ClipInputs]]) -> list[Camera]:
     cameras: dict[str, Camera] = {}
     for camera in (inputs.sources[0].camera for clip in prepared for inputs in clip):
         if cameras.setdefault(camera.name, camera).to_dict() != camera.to_dict():
-            expected = "the same in all clips"
+            expected = "the same lens and pose of a camera in all clips"
             raise InputError(
                 Problem("KEYPOINTS", f"camera {camera.name}", "different lenses or poses of that name", expected)
             )

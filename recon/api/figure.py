@@ -93,7 +93,7 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
         raise InputError(_no_figure(name, analysis, [*drawn], results) for name in wrong)
     draws = [drawn[name] for name in names]
     if not draws:
-        raise InputError(Problem(results or "result", "figure", "none", f"one or more of {', '.join(drawn)}"))
+        raise InputError(Problem(results or "result", "figure", "no figure", f"one or more of {', '.join(drawn)}"))
     figure = _single(draws[0], width_mm) if len(draws) == 1 else _stacked(draws, width_mm)
     return PrintedFigure(figure, caption_of(analysis, names, Path(results).name), width_mm)
 

@@ -73,7 +73,9 @@ class CorrectedClip:
         camera = motion.cameras[number].name
         rows = tuple({(row.frame, row.keypoint): row for row in all_rows if row.camera in ("", camera)}.values())
         if not rows:
-            raise InputError(Problem(path, "corrections", f"none of {camera}", "corrections made with recon fix"))
+            raise InputError(
+                Problem(path, "corrections", f"no corrections for {camera}", "corrections made with recon fix")
+            )
         source = settings.keypoints[number]
         file = read_keypoints(source, settings.individual, settings.fps)
         names = {name: name for name in file.names}

@@ -53,7 +53,7 @@ def choose_frames(video: Path, count: int) -> list[int]:
         numbers.append(number)
         pictures.append(cv2.resize(picture, size, interpolation=cv2.INTER_AREA).ravel().astype(float))
     if not numbers:
-        raise InputError(Problem(video, "frames", "none that can be decoded", "a video"))
+        raise InputError(Problem(video, "frames", "no frame that can be decoded", "a video"))
     if count >= len(numbers):
         return numbers
     points = np.array(pictures)
@@ -157,7 +157,9 @@ class LabelSession:
         """
         require_label_names(video.stem, scorer)
         if len({*names}) != len(names) or not all(name.strip() and name.isprintable() for name in names) or not names:
-            raise InputError(Problem("--names", "names", ", ".join(names)[:100] or "none", "a name for each keypoint"))
+            raise InputError(
+                Problem("--names", "names", ", ".join(names)[:100] or "no names", "a unique name for each keypoint")
+            )
         output = labels_output(out, video.stem, "label", "--out", True, [video])
         edges = () if skeleton is None else _edges(skeleton, names)
         session = cls(video, tuple(names), (), scorer, output, edges)
@@ -228,7 +230,9 @@ class LabelSession:
 
     def _checked(self, rows: object) -> dict[tuple[int, int], Point]:
         if not isinstance(rows, list) or len(rows) > len(self.frames) * len(self.names):
-            raise InputError(Problem("labels", "rows", type(rows).__name__, "at most one for each keypoint of a frame"))
+            actual = f"{len(rows)} rows" if isinstance(rows, list) else f"data of type {type(rows).__name__}"
+            expected = "a list with at most one row for each keypoint of a frame"
+            raise InputError(Problem("labels", "rows", actual, expected))
         points_px: dict[tuple[int, int], Point] = {}
         for number, row in enumerate(rows, start=1):
             is_row = isinstance(row, list) and len(row) == 4 and all(isinstance(x, int | float) for x in row)

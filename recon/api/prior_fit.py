@@ -21,6 +21,7 @@ from recon.api.settings import ANYWAY
 from recon.base.arrays import Array
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.numbers import counted
 from recon.base.outputs import output_file, require_suffix
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings, input_paths
 from recon.check.verdict import usable
@@ -162,7 +163,9 @@ def _solved_segments(
     for path, pieces in files.items():
         points_m = np.concatenate([pose.of_joints(body.markers) for pose in pieces.values()])
         if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
-            raise InputError(Problem(path, "frames", "too few markers in each", f"a frame with at least {MIN_MARKERS}"))
+            raise InputError(
+                Problem(path, "frames", "too few markers in each frame", f"frames with at least {MIN_MARKERS} markers")
+            )
         states, rms_m, sizes[path] = solve_points(body, points_m, None if estimate_size else 1.0)
         first = 0
         for piece, pose in pieces.items():
@@ -258,4 +261,9 @@ def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: s
             yield Problem(path, "joints", f"{count_known} of {len(body.markers)}: {', '.join(names)}", expected)
     count = sum(map(len, files.values()))
     if files and len(rates) not in (1, count):
-        yield Problem(fps, "fps", f"{len(rates)} numbers", f"one frame rate, or {count}, one for each segment")
+        yield Problem(
+            fps,
+            "fps",
+            f"{len(rates)} frame rates",
+            f"one frame rate, or one for each of {counted(count, 'segment')}",
+        )

@@ -38,7 +38,9 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
     """
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
-        yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
+        yield Problem(
+            file, "camera", f"{name} for two keypoint files", "a different camera for each file, by --camera-name"
+        )
     for track, matches in owners.items():
         if len(matches) != 1:
             from recon.io.camera_track import track_label
@@ -51,7 +53,9 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
         yield Problem("--camera-track", name, f"{moving.count(name)} tracks of this camera", "one track")
     for camera in (camera for camera in cameras if camera.name not in moving):
         if not camera.has_extrinsics:
-            yield Problem(file, f"camera {camera.name}", "no pose", "a rotation and translation, as the others have")
+            yield Problem(
+                file, f"camera {camera.name}", "no pose", "a rotation and a translation, as the other cameras have"
+            )
         elif owners and not camera.knows_up:
             expected = "a pose in the world of the camera track, with z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
@@ -69,7 +73,7 @@ def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
         if track is not None and track.intrinsics_px is not None:
             track_px, camera_px = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
             if not camera_px / MAX_ZOOM <= track_px <= camera_px * MAX_ZOOM:
-                expected = f"within a factor of {MAX_ZOOM} of the camera file's {camera_px:.4g} px"
+                expected = f"a focal length within a factor of {MAX_ZOOM} of the camera file's {camera_px:.4g} px"
                 yield Problem(track.source, "fx", f"{track_px:.4g} px (median)", expected)
 
 
@@ -88,7 +92,9 @@ def with_poses(
     poses, filled = track.at(keypoints.frames, fps)
     if not (keypoints.present & poses.known[:, None]).any():
         first, last = keypoints.frames[[0, -1]]
-        actual = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
+        actual = (
+            f"frames {track.frames[0]} to {track.frames[-1]}, none of them in {keypoints.source or 'the keypoints'}"
+        )
         raise InputError(Problem(track.source, "frame", actual, f"the numbers of the clip's frames, {first} to {last}"))
     if filled.any():
         between = f"between two of the track's frames that are {track.max_gap_s:g} s apart or less"

@@ -276,7 +276,7 @@ class FitSettings(Settings):
             actual = f"{count} keypoint files without a camera file"
             yield Problem("settings", "camera", actual, "a calibration of all these cameras")
         if len(self.camera_track or ()) > count:
-            actual = f"{len(self.camera_track or ())} for {count} keypoint file{'s' * (count > 1)}"
+            actual = f"{counted(len(self.camera_track or ()), 'track')} for {count} keypoint file{'s' * (count > 1)}"
             yield Problem("settings", "camera_track", actual, "one track for each camera that moves")
         if len(set(self.keypoints)) < count:
             actual = ", ".join(str(path) for path in self.keypoints)

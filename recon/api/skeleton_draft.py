@@ -31,7 +31,7 @@ from recon.api.settings import INDIVIDUAL, FitSettings, Unit
 from recon.base.arrays import Array, mean_along
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.numbers import percent, quantity, rough_length
+from recon.base.numbers import counted, percent, quantity, rough_length
 from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
 from recon.check.sights import triangulated_m
@@ -194,15 +194,19 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     known = _understood(names, body.markers)
     options, count = fitting_skeleton(names)
     if count > len(known):
-        expected = f"those of a four-legged animal, or recon fit {options}, which has {count} of these {len(names)}"
-        raise InputError(Problem(source, "bodyparts", f"another animal's: {', '.join(names)}", expected))
+        expected = (
+            f"names of a four-legged animal, or recon fit {options}, which has {count} of these {len(names)} names"
+        )
+        raise InputError(
+            Problem(source, "bodyparts", f"names of another animal's skeleton: {', '.join(names)}", expected)
+        )
     name_of_marker = {marker: name for name, marker in known.items()}
     rear, front = (next((name_of_marker[m] for m in ends if m in name_of_marker), None) for ends in (REAR, FRONT))
     if rear is None or front is None or len(known) < MIN_JOINTS:
-        actual = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be put on the skeleton"
+        actual = f"{', '.join(names)}, of which {', '.join(known) or 'none'} can be put on the skeleton"
         expected = (
-            f"at least {MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its "
-            f"front ({', '.join(FRONT)}); or clips of several cameras with --camera, or a skeleton by hand"
+            f"at least {MIN_JOINTS} such keypoints, one of them at the rear of the trunk ({', '.join(REAR)}) and one "
+            f"at its front ({', '.join(FRONT)}); or clips of several cameras with --camera, or a skeleton by hand"
         )
         raise InputError(Problem(source, "bodyparts", actual, expected))
     unplaced = tuple(name for name in names if name not in known)
@@ -356,8 +360,10 @@ def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Ar
     kept = np.flatnonzero(seen.sum(axis=0) >= MIN_FRAMES)
     frames_together = seen[:, kept].T.astype(int) @ seen[:, kept]
     if len(kept) < MIN_JOINTS or frames_together.min() < MIN_FRAMES:
-        actual = f"{len(kept)} that two cameras see in {MIN_FRAMES} frames, not all in the same frames"
-        expected = f"{MIN_JOINTS} or more, with every pair in {MIN_FRAMES} common frames"
+        actual = (
+            f"{counted(len(kept), 'keypoint')} that two cameras see in {MIN_FRAMES} frames, not all in the same frames"
+        )
+        expected = f"{MIN_JOINTS} keypoints or more, with every pair in {MIN_FRAMES} common frames"
         raise InputError(Problem(source, "keypoints", actual, expected))
     return points_m[:, kept], [names[k] for k in kept.tolist()]
 
@@ -382,9 +388,8 @@ def _distances(points_m: Array, source: Path) -> _Distances:
     if same_m > TOO_MUCH * length_m:
         noise_mm = quantity(1000 * same_m / NOISE_FACTOR, 1, "mm")
         actual = f"distances between neighbours change by {noise_mm} in an animal of {rough_length(length_m)}"
-        expected = (
-            f"by {percent(TOO_MUCH / NOISE_FACTOR)} or less of its length; more or nearer cameras reduce the noise"
-        )
+        limit = percent(TOO_MUCH / NOISE_FACTOR)
+        expected = f"changes by {limit} of its length or less; more or nearer cameras reduce the noise"
         raise InputError(Problem(source, "keypoints", actual, expected))
     return _Distances(usual_m, changes_m, same_m, length_m)
 
@@ -470,8 +475,8 @@ def _directions_ahead(
         bodies = "1 rigid body" if body_count == 1 else f"{body_count} rigid bodies"
         actual = f"an animal of {rough_length(length_m)} that moves by {rough_length(path_m)}, with {bodies}"
         expected = (
-            "two rigid bodies or more; and to find the front, a path of half its length, or points named after head or "
-            "tail"
+            "two rigid bodies or more, and, to find the front, a path of half its length, or points named after head "
+            "or tail"
         )
         raise InputError(Problem(source, "motion", actual, expected))
     rear_m, front_m = (mean_along(points_m[:, end], 1) if end else mean_along(points_m, 1) for end in ends)

@@ -18,6 +18,7 @@ from recon.api.clip_results import CONFIG, read_config
 from recon.api.settings import FitSettings
 from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, collect_problems
+from recon.base.numbers import counted
 from recon.base.outputs import output_file, require_suffix
 from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.clip import views_of
@@ -89,9 +90,14 @@ class SubjectFitSettings(Settings):
         if not self.lengths and not self.offsets:
             yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets as well, or no option --no-lengths")
         if self.poses and (self.lengths or not self.offsets):
-            yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets as well")
+            yield Problem("--poses", "unknowns", "lengths to fit, or no offsets", "--no-lengths --offsets as well")
         if self.poses and len(self.poses) != len(self.clips):
-            yield Problem("--poses", "files", f"{len(self.poses)} for {len(self.clips)} clips", "a file for each clip")
+            yield Problem(
+                "--poses",
+                "files",
+                f"{counted(len(self.poses), 'file')} for {counted(len(self.clips), 'clip')}",
+                "a file for each clip",
+            )
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:

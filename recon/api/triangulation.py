@@ -159,8 +159,8 @@ def triangulate_files(settings: FitSettings, smooth: bool = False) -> Triangulat
         If files or settings cannot be used. The message lists all problems.
     """
     if len(settings.keypoints) < 2:
-        expected = "one for each of two or more cameras; a single camera needs a skeleton (recon fit)"
-        raise InputError(Problem("KEYPOINTS", "files", "one", expected))
+        expected = "a keypoint file for each of two or more cameras; a single camera needs a skeleton (recon fit)"
+        raise InputError(Problem("KEYPOINTS", "files", "one keypoint file", expected))
     files, cameras = collect_problems(lambda: read_clips(settings), lambda: read_clip_cameras(settings))
     fps = files[0].fps
     assert fps is not None
@@ -182,7 +182,9 @@ def _triangulated(
 ) -> TriangulatedClip:
     without = [source.camera.name for source in sources if not source.moves and not source.camera.has_extrinsics]
     if without:
-        raise InputError(Problem("--camera", "poses", f"none of {', '.join(without)}", "a camera file with all poses"))
+        raise InputError(
+            Problem("--camera", "poses", f"no poses of {', '.join(without)}", "a camera file with all poses")
+        )
     names = tuple(dict.fromkeys(name for source in sources for name in source.keypoints.names))
     arranged = [replace(source, keypoints=arrange(source.keypoints, names)) for source in sources]
     aligned = align_cameras(arranged, later_frames)

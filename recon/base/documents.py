@@ -83,7 +83,7 @@ def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> byte
     """Return the content of a file as bytes, with the checks and errors of `read_text` except for the encoding."""
     content = read_head(path, expected, most_bytes + 1)
     if len(content) > most_bytes:
-        raise InputError(Problem(path, "file", f"more than {most_bytes >> 20} MB", expected))
+        raise InputError(Problem(path, "file", f"a file of more than {most_bytes >> 20} MB", expected))
     return content
 
 

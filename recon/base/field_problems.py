@@ -51,7 +51,9 @@ def problems_of(
         field = field or "content"
         if kind in _UNKNOWN:
             known = _table_at(schema or {}, location[:-1]).get("properties", {})
-            yield Problem(source, field, "an unknown field", f"one of {', '.join(known)}" if known else "no such field")
+            yield Problem(
+                source, field, "an unknown field", f"one of {', '.join(known)}" if known else "no fields here"
+            )
         elif kind == "missing":
             wanted = _table_at(schema or {}, location[:-1]).get("properties", {}).get(location[-1], {})
             title = "object" if "$ref" in wanted else wanted.get("type")

@@ -83,7 +83,7 @@ def sole_editor(file: Path) -> Iterator[None]:
             if error.problems[0].field != "folder":
                 raise
             expected = "one editor at a time: close the other one, or give another --out"
-            raise InputError(Problem(file, "file", "open in another editor", expected)) from None
+            raise InputError(Problem(file, "file", "a file that is open in another editor", expected)) from None
         yield
 
 

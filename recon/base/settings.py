@@ -310,7 +310,12 @@ def _problems(cls: type[Settings], values: Mapping[str, Any], error: ValidationE
 def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> Problem:
     """Return the problem with a setting that does not exist, and suggest the name that was probably meant."""
     meant = get_close_matches(name, infos, 1)
-    return Problem(file, name, "an unknown setting", f"perhaps {meant[0]}" if meant else f"one of {', '.join(infos)}")
+    return Problem(
+        file,
+        name,
+        "an unknown setting",
+        f"a known setting, perhaps {meant[0]}" if meant else f"one of {', '.join(infos)}",
+    )
 
 
 def _parts(kind: object) -> Iterator[object]:

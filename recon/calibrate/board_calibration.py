@@ -136,7 +136,9 @@ def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
     """
     if len(views.views) < MIN_VIEWS:
         found_views = f"the board in {len(views.views)} of {views.examined} pictures"
-        raise InputError(Problem("pictures", "views", found_views, f"{MIN_VIEWS} or more; 12 to 40 are good"))
+        raise InputError(
+            Problem("pictures", "views", found_views, f"the board in {MIN_VIEWS} pictures or more; 12 to 40 are good")
+        )
     left_out = dict[str, _FittedBoardView]()
     camera, fitted = _solve(views, model, name)
     for _ in range(ROUNDS):

@@ -159,7 +159,12 @@ def parse_board(text: str) -> Board:
             problems.append(Problem("--board", "dictionary", repr(dictionary), f"one of {', '.join(dictionaries)}"))
         elif (marker_count := len(_dictionary(board.dictionary).bytesList)) < needed:
             problems.append(
-                Problem("--board", "dictionary", f"{marker_count} markers in {dictionary}", f"{needed} or more")
+                Problem(
+                    "--board",
+                    "dictionary",
+                    f"{marker_count} markers in {dictionary}",
+                    f"a dictionary of {needed} markers or more",
+                )
             )
     raise_problems(problems)
     return board
@@ -258,7 +263,11 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
     for name, fraction, image in _frames(files[0]) if is_video else _images(files):
         progress("looking for the board", fraction)
         if image is None:
-            problems.append(Problem(name, "file", "a picture that OpenCV cannot read", ", ".join(IMAGE_SUFFIXES)))
+            problems.append(
+                Problem(
+                    name, "file", "a picture that OpenCV cannot read", f"a picture, such as {', '.join(IMAGE_SUFFIXES)}"
+                )
+            )
             continue
         sizes[name] = (image.shape[1], image.shape[0])
         if len(set(sizes.values())) > 1 or problems:

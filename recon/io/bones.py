@@ -141,10 +141,10 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     _, motion, problems = common.number_rows(path, rows, channels)
     if len(motion) != count and not problems:
         problems.append(
-            Problem(path, "MOTION", f"{len(motion)} rows, and Frames: {count}", "as many rows as Frames states")
+            Problem(path, "MOTION", f"{len(motion)} rows, but Frames: {count}", "as many rows as Frames states")
         )
     if not 0 < frame_time_s < float("inf"):
-        problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
+        problems.append(Problem(path, "Frame Time", f"{frame_time_s:g} s", "a time above 0 s"))
     raise_problems(common.first_problems(problems, path))
     parent_of = {j: joint.parent for j, joint in enumerate(joints) if not joint.end or any(joint.offset)}
     xyz = _positions(joints, motion)[:, [*parent_of]]

@@ -76,7 +76,7 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
             alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
             renamed += [replace(cameras[0], name=file.stem)] if alone else cameras
         twice = [f"{name}, which another file has too" for name in _twice(renamed)]
-        raise_problems(Problem(path[-1], "camera", name, "a name of its own") for name in twice)
+        raise_problems(Problem(path[-1], "camera", name, "a different name for each camera") for name in twice)
         return tuple(renamed)
     path = Path(path)
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
@@ -90,7 +90,9 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     reader = recognised(path, "cameras")
     if reader is None:
         keys = _keys_text(parse_json(read_calibration(path), path))
-        raise InputError(Problem(path, "format", f"JSON of another kind{keys}", f"one of: {titles('cameras')}"))
+        raise InputError(
+            Problem(path, "format", f"JSON that is no known camera file{keys}", f"one of: {titles('cameras')}")
+        )
     return cameras_of(reader.read(path), path, image_size_px)
 
 
@@ -258,7 +260,7 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
     for field, (_, expected) in BLOCKS.items():
         arguments[field] = _numbers(values.get(field))
         if arguments[field] is None and values.get(field) is not None:
-            faults[field] = "data that is not a block of numbers", expected
+            faults[field] = "data that is not an array of numbers", expected
     arguments["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
     faults |= {"image_size_px": fault} if fault else {}
     # the matrix could not be computed for an unknown lens model, which is the only problem to report

@@ -404,7 +404,7 @@ def document_of(path: Path) -> dict[str, Any]:
     else:  # OpenCV sometimes writes invalid JSON, with whole numbers as "1."
         document = _read_file_storage(path, text)
     if not isinstance(document, dict):
-        raise InputError(Problem(path, "content", "no keys", "camera_matrix, distortion_coefficients, ..."))
+        raise InputError(Problem(path, "content", "no keys", "keys such as camera_matrix and distortion_coefficients"))
     return document
 
 
@@ -435,7 +435,9 @@ def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRe
         return record
     matrix = np.array(_block(record.values["matrix"]), dtype=float)
     if matrix.size != 9 or not isinstance(whole, list):
-        raise InputError(Problem(path, "roi", "a region or binning", "the matrix and the size of the whole picture"))
+        raise InputError(
+            Problem(path, "roi", "a region of interest, or binning", "the matrix and the size of the whole picture")
+        )
     matrix = matrix.reshape(3, 3)
     matrix[:2, 2] -= corner
     matrix[:2] /= np.array(binning)[:, None]

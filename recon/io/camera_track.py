@@ -157,7 +157,7 @@ def read_camera_track(path: Path) -> CameraTrack:
     upward, downward = -track.T_camera_world[:, 1:3, 2].T
     leans = (upward < np.cos(LEANING_MAX_RAD)) & (downward < np.sin(LOOKING_DOWN_RAD))
     if leans.mean() > 0.5:
-        detail = f"pictures that are not upright, if z is up, in {leans.sum()} of {len(leans)} frames"
+        detail = f"pictures that are not upright in {leans.sum()} of {len(leans)} frames, if the world's z points up"
         expected = "a world with z up, and poses from the world to the camera: turn the model so that z points up"
         raise InputError(Problem(path, "poses", detail, expected))
     return track
@@ -177,29 +177,54 @@ def _checked_track(
     """
     raise_problems(first_problems(problems, path))
     if not len(locations):
-        raise InputError(Problem(path, "rows", "none", "a pose for each frame"))
+        raise InputError(Problem(path, "rows", "no rows", "a pose for each frame"))
     frames, sigma = columns["frame"], columns.get(SIGMA, np.zeros(len(locations)))
     quaternion, translation = _joined(columns, POSE[:4]), _joined(columns, POSE[4:])
     zoom = _joined(columns, INTRINSICS) if INTRINSICS[0] in columns else np.ones((len(locations), 4))
     _, row_of, count = np.unique(frames, return_inverse=True, return_counts=True)
     with np.errstate(all="ignore"):
-        lengths, lens_text = np.linalg.norm(quaternion, axis=1), f"pixels, no more than {MAX_PX:g}, fx and fy above 0"
+        lengths, lens_text = (
+            np.linalg.norm(quaternion, axis=1),
+            f"values of at most {MAX_PX:g} px, with fx and fy above 0",
+        )
         checks = (
-            ("frame", f"a whole number up to {MAX_FRAME}", (np.abs(frames) <= MAX_FRAME) & (frames % 1 == 0)),
-            ("frame", "one pose for each frame, of one camera", count[row_of] == 1),
-            ("numbers", "finite numbers", np.isfinite(np.hstack([quaternion, translation, zoom])).all(axis=1)),
-            ("qw, qx, qy, qz", f"unit quaternions (to {UNIT_TOLERANCE:g})", ~(np.abs(lengths - 1) > UNIT_TOLERANCE)),
+            (
+                "frame",
+                "no such number",
+                f"a whole number up to {MAX_FRAME}",
+                (np.abs(frames) <= MAX_FRAME) & (frames % 1 == 0),
+            ),
+            ("frame", "a frame with several poses", "one pose for each frame, of one camera", count[row_of] == 1),
+            (
+                "numbers",
+                "missing or infinite numbers",
+                "finite numbers",
+                np.isfinite(np.hstack([quaternion, translation, zoom])).all(axis=1),
+            ),
+            (
+                "qw, qx, qy, qz",
+                "a length other than 1",
+                f"unit quaternions (length 1 ± {UNIT_TOLERANCE:g})",
+                ~(np.abs(lengths - 1) > UNIT_TOLERANCE),
+            ),
             (
                 "tx, ty, tz",
-                f"metres, no more than {MAX_METRES:g}",
+                "a value that is too large",
+                f"metres, at most {MAX_METRES:g} m",
                 ~(np.abs(translation) > MAX_METRES).any(axis=1),
             ),
-            ("fx, fy, cx, cy", lens_text, ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1))),
-            (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
+            (
+                "fx, fy, cx, cy",
+                "a value out of range",
+                lens_text,
+                ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1)),
+            ),
+            (SIGMA, "a value out of range", f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
-    wrong = [(kind, [*compress(locations, np.logical_not(right))], expected) for kind, expected, right in checks]
     raise_problems(
-        Problem(path, kind, f"other values in {_some(rows)}", expected) for kind, rows, expected in wrong if rows
+        Problem(path, field, f"{fault} in {_some(rows)}", expected)
+        for field, fault, expected, right in checks
+        if (rows := [*compress(locations, np.logical_not(right))])
     )
     order = np.argsort(frames)
     poses = rigid(_rotations(quaternion[order]), translation[order])
@@ -278,8 +303,8 @@ def _read_shots(path: Path) -> CameraTrack:
         with suppress(KeyError, TypeError, ValueError, OverflowError):
             turn, translation = (np.array(shot[key], dtype=float).reshape(3) for key in ("rotation", "translation"))
         if frame is None or not np.isfinite([turn, translation]).all() or np.abs(turn).max() > MAX_ROTATION_RAD:
-            expected = "rotation and translation of 3 numbers each, and the frame's number last in the name"
-            problems.append(Problem(path, f"shots.{name[:60]}", "other values", expected))
+            expected = "a rotation and a translation of 3 numbers each, and the frame's number last in the name"
+            problems.append(Problem(path, f"shots.{name[:60]}", "no complete pose, or no frame number", expected))
             continue
         rotation = Rotation.from_rotvec(turn)
         if features is not None:  # the columns are positions, not translations
@@ -350,5 +375,7 @@ def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
         raise InputError(Problem(path, "cameras", f"no camera {_some(missing)}", f"every camera that {IMAGES} uses"))
     if len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in lenses.values()}) > 1:
         expected = "one lens, whose focal length and centre alone may change from image to image"
-        raise InputError(Problem(path, "cameras", f"{len(lenses)} with different lenses or picture sizes", expected))
+        raise InputError(
+            Problem(path, "cameras", f"{len(lenses)} cameras with different lenses or picture sizes", expected)
+        )
     return lenses

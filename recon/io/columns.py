@@ -100,7 +100,7 @@ def parse_map(text: str) -> dict[str, str]:
     for item in text.split(","):
         role, _, column = (piece.strip() for piece in item.partition("="))
         if not column or role not in ROLES or role in columns:
-            expected = f"ROLE=COLUMN, each role once, one of: {', '.join(ROLES)}"
+            expected = f"ROLE=COLUMN, with each role only once; the roles are {', '.join(ROLES)}"
             problems.append(Problem("--columns", "map", f"'{item.strip()}'", expected))
         columns[role] = column
     wide = {role for role, column in columns.items() if PART in column}
@@ -215,7 +215,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
     for line, row in common.cut_blank(rows, len(header)):
         table.append(row)
         if len(row) != len(header):
-            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
+            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)} cells, as in line 1"))
     raise_problems(common.first_problems(problems, path))
     cells = list(zip(*table, strict=True)) or [()] * len(header)
     by_name: dict[str, Sequence[str]] = {}
@@ -227,7 +227,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
         by_name.setdefault(name, column)
     meaning = _by_name if columns is None else _by_map(columns)
     twice = [name for name, same in repeated.items() if not same and meaning(name)]
-    expected = "the column once: the columns of this name differ"
+    expected = "one column of this name, since the columns of this name differ"
     raise_problems(Problem(path, "header", f"column '{name}' more than once", expected) for name in twice)
     stored = points_of_columns(path, by_name, individual, columns)
     notes = tuple(f"Column '{name}' is in the table more than once: the first is read." for name in repeated)
@@ -329,7 +329,7 @@ def _required_layout(path: Path, table: Columns, column_map: Mapping[str, str] |
     absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
     layout = _layout([*table], _by_name if column_map is None else _by_map(column_map))
     if layout is None or absent:
-        expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
+        expected = "the columns frame, bodypart, x, y, or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
         detail = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
         if not absent and column_map is None and _layout(["frame", *table], _by_name):
             detail, expected = f"no frame and no time in {detail}", "a column frame, or a column time in seconds"
@@ -372,7 +372,7 @@ class _Cells:
         if len(first) < len(self.rows):
             line = self.rows[np.setdiff1d(np.arange(len(self.rows)), first)[0]] + 2
             actual = "a second row for the same frame and point"
-            self.problems.append(Problem(self.path, f"line {line}", actual, "one"))
+            self.problems.append(Problem(self.path, f"line {line}", actual, "one row for each frame and point"))
 
     def raise_problems(self) -> None:
         """Raise InputError with the problems so far, if there are any."""
@@ -388,7 +388,7 @@ def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.nd
     ticks = cells.numbers(clock) if "frame" in role else _times_of(cells, clock, is_by_name)
     for i in np.flatnonzero(np.isnan(ticks)):
         location = f"line {cells.rows[i] + 2}, {clock}"
-        cells.problems.append(Problem(cells.path, location, "nothing", "a frame number, or seconds"))
+        cells.problems.append(Problem(cells.path, location, "nothing", "a frame number, or a time in seconds"))
     cells.raise_problems()
     return ticks
 
@@ -500,12 +500,14 @@ def from_xarray(dataset: xr.Dataset, fps: float | None, individual: str | None) 
     from recon.io.hdf5_poses import points_of_dataset
 
     source = Path("Dataset")
-    with damage_as_input_error(source, "movement's poses"):
+    with damage_as_input_error(source, "poses in movement's layout"):
         return _keypoints(source, points_of_dataset(source, dataset, fps, individual), fps)
 
 
 def _keypoints(source: Path, stored: StoredPoints, fps: float | None) -> Keypoints:
     if stored.in_space:
-        raise InputError(Problem(source, "space", "x, y, z", "x, y: pixels of one camera"))
+        raise InputError(
+            Problem(source, "space", "positions in x, y, z", "positions in x and y, in pixels of one camera")
+        )
     keypoints = as_keypoints(source, stored)
     return replace(keypoints, fps=keypoints.fps if fps is None else fps, source=None)

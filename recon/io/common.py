@@ -227,7 +227,7 @@ def one_animal(
     )
     rows = slice(None) if present[:, chosen].all() else present[:, chosen]
     if not present[:, chosen].any():
-        raise InputError(Problem(path, "frames", "none with the animal", "at least one"))
+        raise InputError(Problem(path, "frames", "no frame with the animal", "at least one frame with the animal"))
     named = bool(len(animals)) and (N > 1 or animal_names[0] not in UNNAMED)
     unnamed = f"The file does not name its points: in the file's order they are called point1 to point{K}."
     return replace(
@@ -248,13 +248,15 @@ def _name_problems(path: Path, field: str, names: Sequence[str], count: int) -> 
         if not name or not name.isprintable() or times > 1:
             yield Problem(path, field, f"'{name}'", "unique, printable names")
     if len(names) not in (0, count):
-        yield Problem(path, field, str(len(names)), f"{count}, as in the data")
+        yield Problem(path, field, counted(len(names), "name"), f"{counted(count, 'name')}, as in the data")
 
 
 def _frame_problems(path: Path, frames: np.ndarray, count: int) -> Iterator[Problem]:
     """Yield a problem if frame numbers are not increasing whole numbers, or not one for each of `count` frames."""
     if len(frames) != count:
-        yield Problem(path, "frames", f"{len(frames)} numbers", f"{count}, one for each frame")
+        yield Problem(
+            path, "frames", counted(len(frames), "frame number"), f"{count} frame numbers, one for each frame"
+        )
         return
     with np.errstate(invalid="ignore"):  # numbers may be infinite
         is_wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
@@ -304,7 +306,9 @@ def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -
     seen = [frames_seen(track) for track in tracks]
     shared = [frame for i, a in enumerate(seen) for b in seen[:i] for frame in np.intersect1d(a, b).tolist()]
     if shared:
-        detail = f"points of two animals in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
+        detail = f"points of two animals in frame {min(shared)}" + f" and {counted(len(shared) - 1, 'more frame')}" * (
+            len(shared) > 1
+        )
         expected = "tracks of one animal, which never overlap in time"
         raise InputError(Problem(path, f"individual {individual}", detail, expected))
     frames = np.unique(np.concatenate([track.frames for track in tracks]))
@@ -346,7 +350,10 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
     excess = len(problems) - PROBLEMS_SHOWN
     if excess <= 0:
         return list(problems)
-    return [*problems[:PROBLEMS_SHOWN], Problem(path, "more", f"{excess} similar problems", "none")]
+    return [
+        *problems[:PROBLEMS_SHOWN],
+        Problem(path, "content", f"{counted(excess, 'more problem')} of these kinds", "a file without them"),
+    ]
 
 
 def number(text: str) -> float:
@@ -510,7 +517,7 @@ def number_rows(
     width = index + len(columns)
     for line, row in rows:
         if len(row) != width:
-            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width}, as in the header"))
+            problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{width} cells, as in the header"))
             continue
         row_values, wrong = numbers(row[index:])
         for j in wrong:

@@ -73,7 +73,7 @@ def read_corrections(path: Path) -> list[Correction]:
     width = width_of([header])
     for number, cells in cut_blank(lines[1:], width):
         if len(cells) != width:  # as in a line that is cut short
-            problems.append(Problem(path, f"line {number}", f"{len(cells)} cells", f"{width}, as in the header"))
+            problems.append(Problem(path, f"line {number}", f"{len(cells)} cells", f"{width} cells, as in the header"))
             continue
         row = {name: unguarded(cell.strip()) for name, cell in zip(header[:width], cells, strict=True)}
         try:
@@ -206,7 +206,7 @@ def _problems(
     if unknown_cameras:
         yield Problem(source, "camera", ", ".join(sorted(unknown_cameras))[:100], f"one of {', '.join(cameras)}")
     if len(cameras) > 1 and any(not row.camera for row in corrections):
-        yield Problem(source, "camera", "nothing", f"one of {', '.join(cameras)} in every row")
+        yield Problem(source, "camera", "rows without a camera", f"one of {', '.join(cameras)} in every row")
     for file, camera in zip(files, cameras, strict=True):
         rows = [row for row in corrections if row.camera == camera or (not row.camera and len(cameras) == 1)]
         title = file.source or camera

@@ -140,7 +140,14 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
     header = {level: row if any(map(str.strip, row[width:])) else row[:width] for level, row in header.items()}
     if len({len(row) for row in header.values()}) != 1:
         lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
-        raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in every row"))
+        raise InputError(
+            Problem(
+                path,
+                "header rows",
+                f"rows of different length (cells: {lengths})",
+                "the same number of cells in every row",
+            )
+        )
     # Label files name the image in three columns, whose cells in the header are blank except for the first column.
     index_columns = 3 if [cell.strip() for cell in header["coords"][1:3]] == ["", ""] else 1
     columns = {level: row[index_columns:] for level, row in header.items()}
@@ -422,7 +429,14 @@ def _points(
             detail = f"several columns {repeated} with different numbers"
             problems.append(Problem(path, f"bodypart {bodypart}", detail, "one column for each coordinate"))
         if lacking := [coord for coord in required if coord not in by_coord]:
-            problems.append(Problem(path, f"bodypart {bodypart}", f"no {', '.join(lacking)}", ", ".join(required)))
+            problems.append(
+                Problem(
+                    path,
+                    f"bodypart {bodypart}",
+                    f"no column {', '.join(lacking)}",
+                    f"the columns {', '.join(required)}",
+                )
+            )
         for i, coord in enumerate(coords):
             if coord in by_coord:
                 points[:, k, i] = values[:, by_coord[coord][0]]

@@ -117,7 +117,7 @@ def bodyparts(project: Project) -> tuple[str, ...]:
     """
     if not project.bodyparts:
         expected = "the names of the keypoints, under bodyparts, or under multianimalbodyparts for several animals"
-        raise InputError(Problem(project.config, "bodyparts", "none", expected))
+        raise InputError(Problem(project.config, "bodyparts", "no names", expected))
     return project.bodyparts
 
 
@@ -163,7 +163,7 @@ def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
             "tables such as videos/run1DLC_*.h5, which DeepLabCut writes when it analyses the videos; or the "
             "folder of these tables instead of the project"
         )
-        raise InputError(Problem(project.config, "predictions", f"none in {project.folder / 'videos'}", expected))
+        raise InputError(Problem(project.config, "predictions", f"no tables in {project.folder / 'videos'}", expected))
     problems, pattern = (
         [],
         f"tables of one network, chosen by a pattern instead of the project: '{project.folder / 'videos'}/*",

@@ -90,7 +90,7 @@ class Format:
         InputError
             If the file is damaged. Exceptions of Python and of libraries during reading are converted to InputError.
         """
-        with damage_as_input_error(path, f"a whole file: {self.title}"):
+        with damage_as_input_error(path, f"a complete file of the format {self.title}"):
             return _present(self._loaded().read)(path, individual)
 
     def write(self, data: object, path: Path) -> None:
@@ -460,9 +460,9 @@ def _hint_to_join(reader: Format, path: Path, animals: Sequence[str]) -> str:
 
 def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredPoints | None) -> StoredPoints:
     if kind == "2D" and (stored is None or stored.in_space):
-        raise InputError(Problem(path, "coords", "x, y, z: 3D positions", "2D keypoints in pixels (x, y)"))
+        raise InputError(Problem(path, "coords", "3D positions (x, y, z)", "2D keypoints in pixels (x, y)"))
     if stored is None or (kind == "3D" and not stored.in_space):
-        raise InputError(Problem(path, "coords", f"no z ({reader.title})", "x, y, z: 3D positions"))
+        raise InputError(Problem(path, "coords", f"no z ({reader.title})", "3D positions (x, y, z)"))
     return stored
 
 
@@ -486,7 +486,7 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
         cause = (
             ", apparently in percent" if is_percent else f", above 1 in {percent(above)} of the points" * (above > 0)
         )
-        raise InputError(Problem(path, "likelihood", f"{low:g} to {high:g}{cause}", "numbers from 0 to 1"))
+        raise InputError(Problem(path, "likelihood", f"values from {low:g} to {high:g}{cause}", "values from 0 to 1"))
     if low < 0 or high > 1:
         notes = (*notes, f"Likelihoods range from {low:g} to {high:g}, but should lie between 0 and 1.")
     return Keypoints(
@@ -548,14 +548,17 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
 
         if outline(path) >= _SLEAP_PROJECT:
             return "a SLEAP project", _SLEAP_EXPORT
-        return "an HDF5 file of another kind", expected
+        return "an HDF5 file in an unknown layout", expected
     for start, name, instead in _UNREAD:
         if head.removeprefix(b"\xef\xbb\xbf").startswith(start):
             return name, instead or expected
     if _CALIBRATION.search(head):
         return "a calibration, which belongs to --camera", expected
     if re.search(rb'"version"\s*:\s*"AlphaPose', head):
-        return "AlphaPose's results in the layout of another program", "AlphaPose's own: run it without --format"
+        return (
+            "AlphaPose's results in the layout of another program",
+            "AlphaPose's own layout: run AlphaPose without --format",
+        )
     return _describe_head(head), expected
 
 
@@ -563,7 +566,7 @@ def _describe_head(head: bytes) -> str:
     if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
         return "a video (recon run and recon predict find the keypoints in one)"
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "a text in UTF-16 (save it in UTF-8)"
+        return "text in UTF-16 (save it in UTF-8)"
     text = head.decode("utf-8", errors="ignore").lstrip("\ufeff").strip()
     # The head may end within a character of up to 4 bytes. Only binary files lose more than that.
     if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):

@@ -66,7 +66,7 @@ def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
             file = h5py.File(path, "r")
         except OSError:
             detail = "an HDF5 file that is cut off or damaged"
-            raise InputError(Problem(path, "file", detail, "a whole file")) from None
+            raise InputError(Problem(path, "file", detail, "a complete, undamaged file")) from None
         with file:
             yield file
 

@@ -76,7 +76,7 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
     """
     keys = _keys(path)
     if len(keys) != 1:
-        raise InputError(Problem(path, "keys", ", ".join(keys) or "none", "one table"))
+        raise InputError(Problem(path, "keys", f"the tables {', '.join(keys)}" if keys else "no table", "one table"))
     with opened(path) as file:
         group = child(file, keys[0])
         kind = attribute(group, "pandas_type")
@@ -470,7 +470,14 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
             if "PoseEstimationSeries" in of_type:
                 containers[_last(group)] = group, of_type
         if not containers:
-            raise InputError(Problem(path, "PoseEstimationSeries", "none", "poses of the extension ndx-pose"))
+            raise InputError(
+                Problem(
+                    path,
+                    "PoseEstimationSeries",
+                    "no series of poses",
+                    "one or more series, as the extension ndx-pose writes them",
+                )
+            )
         name = [*containers][common.choose(path, [*containers], individual)]
         group, of_type = containers[name]
         # The first version of the extension had the skeleton's nodes in the container itself.
@@ -490,11 +497,13 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
     problems, first = [], points[0]
     for point, positions, point_times_s in zip(points, values, times_s, strict=True):
         if positions.shape != values[0].shape:
-            expected = f"{values[0].shape}, as in {first}"
-            problems.append(Problem(path, f"{name}/{point}", f"{positions.shape} positions", expected))
+            expected = f"an array of shape {values[0].shape}, as in {first}"
+            problems.append(Problem(path, f"{name}/{point}", f"an array of shape {positions.shape}", expected))
         elif not np.allclose(point_times_s, times_s[0], rtol=0, atol=1e-6):
             problems.append(
-                Problem(path, f"{name}/{point}", f"times other than those of {first}", "the same times for all points")
+                Problem(
+                    path, f"{name}/{point}", f"times that differ from those of {first}", "the same times for all points"
+                )
             )
     raise_problems(problems)
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()

@@ -85,10 +85,12 @@ def _points(
     for detection in (detection for detection in seen if detection.animal == chosen):
         if detection.xy_px.shape != xy.shape[1:] or detection.score.shape != score.shape[1:]:
             detail = f"{len(detection.xy_px)} points and {len(detection.score)} scores"
-            problems.append(Problem(path, detection.location, detail, f"one for each of {len(names)} keypoints"))
+            problems.append(
+                Problem(path, detection.location, detail, f"a point and a score for each of {len(names)} keypoints")
+            )
         elif detection.frame in filled_frames:
             detail = f"a second animal in frame {detection.frame}"
-            problems.append(Problem(path, detection.location, detail, "one animal, or a track_id for each"))
+            problems.append(Problem(path, detection.location, detail, "one animal, or a track_id for each animal"))
         else:
             filled_frames.add(detection.frame)
             xy[row[detection.frame]], score[row[detection.frame]] = detection.xy_px, detection.score
@@ -131,7 +133,7 @@ def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[st
     lists = {tuple(str(name) for name in c["keypoints"]) for c in with_points}
     if len(lists) != 1:
         raise InputError(
-            Problem(path, "categories", f"{len(lists)} lists of keypoints in use", "one for all annotations")
+            Problem(path, "categories", f"{len(lists)} lists of keypoints in use", "one list for all annotations")
         )
     return lists.pop()
 
@@ -246,8 +248,8 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
             seen.append(_Seen(f"frame {number}", number, str(k), xy, score))
     counts = sorted({len(person.score) for person in seen})
     if len(counts) > 1 or not {*counts} <= {*LISTS}:
-        expected = f"one number of points throughout, of {', '.join(map(str, LISTS))}"
-        raise InputError(Problem(path, KEY, " and ".join(map(str, counts)), expected))
+        expected = f"the same number of points in every file, one of {', '.join(map(str, LISTS))}"
+        raise InputError(Problem(path, KEY, f"{' and '.join(map(str, counts))} points", expected))
     if all(person.animal == "1" for person in seen):
         seen = [person._replace(animal="") for person in seen]
     return _points(path, individual, LISTS[counts[0] if counts else 25], files.values(), seen)
@@ -281,7 +283,9 @@ def read_alphapose(path: Path, individual: str | None = None) -> StoredPoints:
     counts = sorted({len(detection.score) for detection in seen})
     if len(counts) != 1:
         raise InputError(
-            Problem(path, "keypoints", " and ".join(map(str, counts)) or "none", "the same number in each frame")
+            Problem(
+                path, "keypoints", f"{' and '.join(map(str, counts)) or 'no'} points", "the same number in each frame"
+            )
         )
     names = LISTS.get(counts[0]) or [f"point{k}" for k in range(1, counts[0] + 1)]
     if {detection.animal for detection in seen} == {"1"}:

@@ -244,7 +244,7 @@ def write_c3d(pose: Pose3D, path: Path) -> None:
     ranges = writing.frames_text(pose.frames)
     for quantity, count, limit in (("frames", len(xyz), WORD_MAX), ("gaps", len(ranges) - 1, TEXT_MAX - 1)):
         if count > limit:
-            raise InputError(Problem("C3D", quantity, str(count), f"at most {limit}"))
+            raise InputError(Problem("C3D", quantity, f"{count} {quantity}", f"at most {limit} {quantity}"))
     points = np.ones((4, len(pose.names), len(xyz)))
     points[:3] = np.nan_to_num(xyz, nan=0.0).transpose(2, 1, 0)
     missing = np.any(np.isnan(xyz), axis=2)

@@ -73,7 +73,7 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
             problems.append(Problem(path, name, f"{option} as given, but {stated} in the file", "the same in both"))
     unit = unit or stored.unit or reader.unit
     if unit not in PER_METRE:
-        detail = "none in the file" if unit is None else unit
+        detail = "no unit in the file" if unit is None else unit
         problems.append(Problem(path, "unit", detail, f"one of: {', '.join(PER_METRE)} (--unit)"))
     if up is None and stored.up is None and reader.up != "z":
         assumed = f"it was read with {reader.up} up, as is usual for the format"
@@ -113,7 +113,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     rows = text_rows(path, ",")
     names, coords = next(rows)[1], next(rows, (2, []))[1]
     if len(coords) != len(names):
-        raise InputError(Problem(path, "line 2", f"{len(coords)} cells", f"{len(names)}, as in line 1"))
+        raise InputError(Problem(path, "line 2", f"{len(coords)} cells", f"{len(names)} cells, as in line 1"))
     pieces: dict[str, list[tuple[int, list[str]]]] = {}
     for line, row in rows:
         pieces.setdefault(row[0], []).append((line, row[1:]))
@@ -130,5 +130,5 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
 def _piece(path: Path, header: dict[str, list[str]], rows: list[tuple[int, list[str]]]) -> Pose3D:
     stored = points_of_rows(path, header, rows, 1)
     if not stored.in_space:
-        raise InputError(Problem(path, "line 2", "no z", "x, y, z of each joint"))
+        raise InputError(Problem(path, "line 2", "no z", "the columns x, y, z of each joint"))
     return Pose3D(stored.names, stored.values, stored.frames, source=str(path), notes=stored.notes)

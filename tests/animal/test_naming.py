@@ -89,9 +89,9 @@ def test_a_map_has_two_columns(text, tmp_path):
     ("text", "expected"),
     [
         ("left_eye\n", [("line 1", "'left_eye'")]),
-        ("a,b,c\n,d\ne,f\ne,g", [("line 1", "'a,b,c'"), ("line 2", "',d'"), ("line 4", "'e' again")]),
+        ("a,b,c\n,d\ne,f\ne,g", [("line 1", "'a,b,c'"), ("line 2", "',d'"), ("line 4", "'e' a second time")]),
         ("a,\x1b[2J", [("line 1", r"'a,\x1b[2J'")]),
-        ("file,skeleton\n", [("lines", "none")]),
+        ("file,skeleton\n", [("lines", "no names")]),
         ("a" * 200_000 + ",b\n", [("line 1", "'" + "a" * 59)]),
     ],
 )

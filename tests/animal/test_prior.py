@@ -199,14 +199,14 @@ def test_slow_segments_and_missing_frames(body):
 
 
 def test_too_few_frames_are_refused(body):
-    with refusal(("prior", "components", "6 for 100 frames", ["20 frames", "at most 5"])):
+    with refusal(("prior", "components", "6 components for 100 frames", ["20 frames", "at most 5"])):
         fit_prior(body, swinging(body, 1, 100, 100.0), components=6)
     ((name, states, fps),) = swinging(body, 1, 100, 100.0)
     states[::2] = np.nan
     no_three = ("prior", "frames", "three consecutive")
     with refusal(("prior", "components", 6, "20 frames"), no_three):
         fit_prior(body, [(name, states, fps)], components=6)
-    with refusal(("prior", "components", "1 for 0 frames"), no_three):
+    with refusal(("prior", "components", "1 component for 0 frames"), no_three):
         fit_prior(body, [], components=1)
 
 
@@ -462,7 +462,7 @@ def test_every_problem_of_the_command_is_listed(body, tmp_path):
     rates.write_text("[90, 120]")
     refuses((rates, "frame rate", f"'{rates}'", "JSON"), fps=str(rates))
     rates.write_text('{"fps": [90, 120]}')
-    refuses(joints, (rates, "fps", "2 numbers"), fps=str(rates))
+    refuses(joints, (rates, "fps", "2 frame rates"), fps=str(rates))
     for fps in ("0", "-3", "nan", "inf"):
         refuses(("--fps", "frame rate", f"'{fps}'"), fps=fps)
     refuses(("--out", "file", tmp_path / "x.txt", "ends in .npz"), out=tmp_path / "x.txt", fps="90")

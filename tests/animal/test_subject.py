@@ -178,8 +178,8 @@ def test_problems_with_clips_and_options_are_listed(runs, tmp_path):
         ([config], {"out": config}, (config, "file", "an input of this run", "another --out")),
         ([config], {"lengths": False}, ("--no-lengths", "unknowns", "nothing", "--offsets")),
         ([tmp_path / "none"], {}, (tmp_path / "none", "file", "no such file")),
-        ([config], {"poses": [other]}, ("--poses", "unknowns", "lengths, or no offsets")),
-        ([config], detector | {"poses": [other, other]}, ("--poses", "files", "2 for 1 clips")),
+        ([config], {"poses": [other]}, ("--poses", "unknowns", "lengths to fit, or no offsets")),
+        ([config], detector | {"poses": [other, other]}, ("--poses", "files", "2 files for 1 clip")),
         ([config], detector | {"poses": [other]}, (other, "poses", ["40 of the", "1 of the"], "8 or more")),
     ):
         with refusal(expected):

@@ -214,7 +214,7 @@ def test_inputs_with_too_long_names_are_refused(clips):
     name = "a" * 300
     path = manifest(clips, f"keypoints\n{name}*.csv\n")
     none = (path, "line 2, keypoints", f"{name}*.csv")
-    refuses([path, name, f"{name}*"], none, (name, "file"), (f"{name}*", "files", "none that match"))
+    refuses([path, name, f"{name}*"], none, (name, "file"), (f"{name}*", "files", "no files that match"))
 
 
 def test_problems_with_several_inputs_are_reported_together(clips, tmp_path):
@@ -224,11 +224,11 @@ def test_problems_with_several_inputs_are_reported_together(clips, tmp_path):
     refuses(
         [tmp_path / "typo.csv", tmp_path / "*.h5", tmp_path / "none", path, empty],
         (tmp_path / "typo.csv", "file", "no such file"),
-        (tmp_path / "*.h5", "files", "none that match"),
+        (tmp_path / "*.h5", "files", "no files that match"),
         (tmp_path / "none", "files", "no keypoint files"),
         (path, "column 'speed'", "unknown", "keypoints, camera"),
         (path, "line 2", "5 cells", 3),
-        (empty, "rows", "none"),
+        (empty, "rows", "no rows"),
     )
 
 

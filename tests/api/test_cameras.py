@@ -424,7 +424,7 @@ def test_unsynchronised_cameras_are_calibrated(runs, tmp_path):
 def test_refined_extrinsics_need_poses(runs, tmp_path):
     lenses = [replace(camera, rotation=None, translation_m=None) for camera in read_cameras(runs / "scene.json")]
     write_cameras(lenses, tmp_path / "lenses.toml")
-    with refusal(("--set refine-cameras", "poses", "none of cam1, cam2", "camera file")):
+    with refusal(("--set refine-cameras", "poses", "no poses of cam1, cam2", "camera file")):
         run_extrinsics(
             [settings(runs, 1, 2, camera=tmp_path / "lenses.toml", refine_cameras=True)], tmp_path / "out.toml"
         )

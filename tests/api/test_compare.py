@@ -155,7 +155,7 @@ def test_unusable_comparisons_are_refused(clips: Path, tmp_path: Path, whole_mot
         refused(["compare", *args, "--out", out], *expected)
 
     refuses([clips, "--table", lacking, "--by", "sex"], *((lacking, "clip", f"for {name}") for name in "bc"))
-    refuses([clips, "--table", lacking, "--by", "age"], (lacking, "column", ["'age'", "(clip, sex)"]))
+    refuses([clips, "--table", lacking, "--by", "age"], (lacking, "column", ["'age'", "clip, sex"]))
     absent = tmp_path / "absent.csv"
     refuses([clips, "--table", absent, "--by", "sex"], (absent, "file", "no such file", "a CSV table"))
     refuses([clips, "--by", "age"], ("--by", "table", "--table"))

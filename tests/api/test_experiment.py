@@ -264,5 +264,5 @@ def test_the_command_compares_a_herd_and_plans(
     refused(["compare", out, "--plan", "effect=10%"], (out, "variances.csv", "nothing", ["--design", "--names"]))
     refused(["compare"], ("DIR", "folders", "nothing"), ("--out", "folder", "nothing"))
     both = ["compare", out, "--design", design_file, "--names", "{animal}", "--out", tmp_path / "b"]
-    refused(both, ("--names", "pattern", "a design as well"))
-    refused(["compare", out, "--covariate", "age", "--out", tmp_path / "b"], ("--covariate", "design", "nothing"))
+    refused(both, ("--names", "pattern", "--design as well"))
+    refused(["compare", out, "--covariate", "age", "--out", tmp_path / "b"], ("--covariate", "design", "no design"))

@@ -280,7 +280,7 @@ def test_coverage_is_the_area_that_the_boards_cover():
 
 
 def test_too_few_views_are_refused(chess_views):
-    with refusal(("pictures", "views", "2 of 14 pictures", "3 or more")):
+    with refusal(("pictures", "views", "2 of 14 pictures", "3 pictures or more")):
         calibrate(replace(chess_views, views=chess_views.views[:2]), "radtan")
 
 

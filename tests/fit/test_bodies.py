@@ -297,7 +297,7 @@ def test_person_with_coco_names_is_recognised(tmp_path):
     ],
 )
 def test_points_of_another_skeleton_give_no_quadruped(names: Iterable[str], options):
-    with refusal(("clip.csv", "bodyparts", f"another animal's: {next(iter(names))}", options)):
+    with refusal(("clip.csv", "bodyparts", f"names of another animal's skeleton: {next(iter(names))}", options)):
         draft_skeleton([*names], "mine", Path("clip.csv"))
 
 

@@ -65,7 +65,7 @@ def test_problems_of_masses_are_listed(tmp_path: Path):
     said = {problem.field: (problem.found, problem.expected) for problem in error.value.problems}
     assert said["mass.share.hat"][0] == "'hat'"
     assert says(said["mass.share.hat"][1], "front_trunk, head")
-    assert said["mass.share.head"][0] == "none"
+    assert said["mass.share.head"][0] == "nothing"
 
 
 def test_the_centre_of_mass_moves_as_the_body_and_is_within_it(motion: Motion, found: ClipAnalysis):

@@ -312,7 +312,7 @@ def test_a_reference_that_counts_from_1_without_unit_and_axis_is_read(tmp_path):
     for frame, points in zip(pose.frames, 1000 * pose.xyz_m, strict=True):
         rows += [f"{frame},{n},{x!r},{z!r},{-y!r}" for n, (x, y, z) in zip(pose.names, points.tolist(), strict=True)]
     (tmp_path / "mm.csv").write_text("\n".join(rows).replace("nan", "") + "\n")
-    with refusal((tmp_path / "mm.csv", "unit", "none", "--unit")):
+    with refusal((tmp_path / "mm.csv", "unit", "no unit", "--unit")):
         evaluate_files(tmp_path / "pose.trc", tmp_path / "mm.csv")
     write_csv(pose, tmp_path / "ours.csv")
     with refusal((tmp_path / "ours.csv", "unit", ["mm as given", "m in"])):

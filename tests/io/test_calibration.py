@@ -544,7 +544,10 @@ class TestLayoutsOfLabs:
         found = "the file has image_width, image_height, Kmat"
         fields = ("matrix", "distortions")
         refuses(write("a.yml", opencv_text(".yml", **values)), *((field, found) for field in fields))
-        refuses(write("a.json", {"cameras": [{"f": 1, "lens": 2}]}), ("format", ["another kind", "cameras (f, lens)"]))
+        refuses(
+            write("a.json", {"cameras": [{"f": 1, "lens": 2}]}),
+            ("format", ["no known camera file", "cameras (f, lens)"]),
+        )
         refuses(write("a.toml", {"rig": {"f": 1}}), ("cameras", "the file has rig: f"))
 
 
@@ -594,9 +597,9 @@ class TestMalformed:
         [
             ("k", None, "nothing"),
             ("k", K[:2], "shape (2, 3)"),
-            ("k", [[1, 2], [3]], "not a block of numbers"),
-            ("k", "wide", "not a block of numbers"),
-            ("k", [["1", "0", "0"]] * 3, "not a block of numbers"),
+            ("k", [[1, 2], [3]], "not an array of numbers"),
+            ("k", "wide", "not an array of numbers"),
+            ("k", [["1", "0", "0"]] * 3, "not an array of numbers"),
             ("k", [[float("nan"), 0, 0], *K[1:]], "nan"),
             ("k", [[-1.0, 0, 0], *K[1:]], "-1.0"),
             ("k", np.transpose(K).tolist(), str(np.transpose(K).tolist()[2])),

@@ -100,7 +100,7 @@ def test_poses_of_opendronemap(name, tmp_path):
     np.testing.assert_allclose(track.T_camera_world, poses, atol=1e-9)
     refuses("[]", path, ("shots", "0 reconstructions"))
     longer = json.dumps(document).replace('"rotation": [', '"rotation": [1, ', 1)
-    refuses(longer, path, ("shots.DJI_0004_00007.jpg", "other values", "3 numbers"))
+    refuses(longer, path, ("shots.DJI_0004_00007.jpg", "no complete pose", "3 numbers"))
 
 
 def test_a_table_in_another_order_with_other_columns_and_semicolons(tmp_path):
@@ -218,9 +218,9 @@ def test_all_faults_of_a_table_are_reported(tmp_path):
     refuses("frame,qw,qx,qy,tx,ty,tz,fx\n", path, *missing)
     cells = ("line 2", "4 cells", 8), ("line 3, qx", "'x'", "number")
     refuses(f"{TRACK_HEADER}\n0,1,0,0\n0.5,1,x,0,0,0,0,0\n", path, *cells)
-    refuses(f"{TRACK_HEADER}\n", path, ("rows", "none"))
+    refuses(f"{TRACK_HEADER}\n", path, ("rows", "no rows"))
     refuses(f"{positions}\n0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n", path, ("qw, qx, qy, qz", "line 3", "unit quaternions"))
-    refuses(f"{TRACK_HEADER},fx,fy,cx,cy\n0,1,0,0,0,0,0,0,0,1,2,3\n", path, ("fx, fy, cx, cy", "line 2", "pixels"))
+    refuses(f"{TRACK_HEADER},fx,fy,cx,cy\n0,1,0,0,0,0,0,0,0,1,2,3\n", path, ("fx, fy, cx, cy", "line 2", "px"))
 
 
 def test_faults_of_a_colmap_model_are_named(tmp_path):
@@ -234,7 +234,7 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
         ([lens], [("line 2, camera 1: parameters", "nothing", "fx"), ("line 2, camera 1: distortion", "nothing")]),
         (["1 SIMPLE_PINHOLE 9 9 -5 4 4"], [("line 2, camera 1: parameters", "[[-5.0, 0.0, 3.5]", "fx and fy > 0")]),
         ([lens + "0.1"], [("cameras", "no camera 2", "images.txt")]),
-        ([lens + "0.1", "2" + lens[1:] + "0.2"], [("cameras", "2 with different lenses")]),
+        ([lens + "0.1", "2" + lens[1:] + "0.2"], [("cameras", "2 cameras with different lenses")]),
     ):
         write_model(tmp_path, lines, np.arange(2), turning(2), [1, 1 if "FOV" in lines[0] else 2])
         with refusal(*((tmp_path / "cameras.txt", *one) for one in expected)):
@@ -244,7 +244,7 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
 def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
     """COLMAP's world, whose y points down, is refused. Cameras that lean by less than 60 degrees are accepted."""
     down = np.tile(np.eye(4), (3, 1, 1))
-    with refusal(("track.csv", "poses", ["not upright, if z is up", "3 of 3 frames"], "z up")):
+    with refusal(("track.csv", "poses", ["not upright in 3 of 3 frames", "z points up"], "z up")):
         read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down))
     down[:2] = LEVEL
     assert len(read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down)).frames) == 3
@@ -284,7 +284,7 @@ def test_settings_that_do_not_fit(runs, tmp_path):
     given: dict[str, Any] = {"keypoints": runs / "run_cam1.csv", "fps": FPS}
     for more, *expected in (
         ({"camera_track": track}, "camera", ["no lens", "track.csv"], "camera file"),
-        ({"camera_track": [track, track], "camera": "a.json"}, "camera_track", "2 for 1 keypoint file"),
+        ({"camera_track": [track, track], "camera": "a.json"}, "camera_track", "2 tracks for 1 keypoint file"),
         ({"camera_track": track, "camera": "a.json", "tilt_deg": 5}, "tilt_deg", "5 together with a camera track"),
         ({"camera_track": track, "camera": "a.json", "method": "frame"}, "camera_track", "frame method"),
     ):

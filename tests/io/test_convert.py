@@ -442,7 +442,7 @@ def test_columns_by_a_map(tmp_path):
     np.testing.assert_array_equal(found.xy_px[:, 0], [[1.5, 2], [NAN, NAN]])
     (tmp_path / "c.csv").write_text("t,X of a,Y of a,Z of a\n0,1,2,3\n0.5,4,5,6\n", encoding="utf-8")
     wide = "time=t,x=X of {bodypart},y=Y of {bodypart},z=Z of {bodypart}"
-    with refusal((tmp_path / "c.csv", "unit", "none", "m, cm, mm")):
+    with refusal((tmp_path / "c.csv", "unit", "no unit", "m, cm, mm")):
         convert(ConvertSettings(source=tmp_path / "c.csv", out=tmp_path / "c.trc", columns=wide))
     convert(ConvertSettings(source=tmp_path / "c.csv", out=tmp_path / "c.trc", columns=wide, unit="cm", up="y"))
     pose = read_pose3d(tmp_path / "c.trc")

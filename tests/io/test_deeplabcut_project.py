@@ -84,7 +84,7 @@ def test_a_configuration(project):
     config.write_text("camera_matrix: 1\n", encoding="utf-8")
     assert find_project(config) is None
     config.write_text("Task: dogs\nscorer: me\nbodyparts:\n", encoding="utf-8")
-    with refusal(("config.yaml", "bodyparts", "none")):
+    with refusal(("config.yaml", "bodyparts", "no names")):
         skeleton_from_keypoints(SkeletonDraftSettings(keypoints=config, out=project / "a.toml"))
 
 
@@ -102,7 +102,7 @@ def test_labels_of_a_project(project, name):
 
 
 def test_clips_of_a_project(project):
-    with refusal(("config.yaml", "predictions", f"none in {project / 'videos'}", "videos/run1DLC_*.h5")):
+    with refusal(("config.yaml", "predictions", f"no tables in {project / 'videos'}", "videos/run1DLC_*.h5")):
         find_clips([project], CAMERA)
     for name in (f"run1{NETWORK}", f"run1{NETWORK}_filtered", f"run1{NETWORK}_skeleton", f"run2{NETWORK}"):
         copy(SAMPLE, project / "videos" / f"{name}.csv")

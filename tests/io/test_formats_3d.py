@@ -124,7 +124,7 @@ def test_bvh_by_hand(tmp_path):
     np.testing.assert_allclose(pose.xyz_m, expected, atol=1e-12)
     assert pose.fps == pytest.approx(30, rel=1e-5)
     assert pose.edges == (("hips", "knee"), ("knee", "knee_end"))
-    refuses(tmp_path / "a.bvh", ("unit", "none", "m, cm, mm (--unit)"), read=read_pose3d)
+    refuses(tmp_path / "a.bvh", ("unit", "no unit", "m, cm, mm (--unit)"), read=read_pose3d)
     centimetres = read_pose3d(tmp_path / "a.bvh", unit="cm")
     np.testing.assert_allclose(centimetres.xyz_m[1, 1], [0.03, -0.03, 0.02])
     assert says(centimetres.notes[0], "with y up")
@@ -152,7 +152,7 @@ def test_bvh_against_another_reader(tmp_path):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (("Frames: 2", "Frames: 3"), ("MOTION", "2 rows, and Frames: 3")),
+        (("Frames: 2", "Frames: 3"), ("MOTION", "2 rows, but Frames: 3")),
         (("1 2 3 90 0 0 0 90 0", "1 2 3 90"), ("line 20", "4 cells", 9)),
         (("Frame Time: 0.0333333", "Frame Time: 0"), ("Frame Time", 0, "above 0")),
         (("1 2 3 90 0 0 0 90 0", "1 2 3 90 0 0 0 90 x"), ("line 20, knee Yrotation", "'x'", "number")),
@@ -160,7 +160,7 @@ def test_bvh_against_another_reader(tmp_path):
         (("OFFSET 1.0 0.0 0.0", "OFFSET 1.0"), ("content", ["'OFFSET 1.0'", "hierarchy"])),
         (("MOTION", ""), ("content", ["'Frames: 2'", "hierarchy"])),
         (("JOINT knee", "JOINT hips"), ("names of points", "'hips'", "unique")),
-        (("Frames: 2", "Frames: 0_2"), ("MOTION", "2 rows, and Frames: 0")),
+        (("Frames: 2", "Frames: 0_2"), ("MOTION", "2 rows, but Frames: 0")),
     ],
 )
 def test_bvh_problems(tmp_path, change, expected):

@@ -187,7 +187,7 @@ def test_an_h5_file_that_is_cut_off_is_refused(shared_data, tmp_path, name):
     for length in (8, 100, 2000, len(whole) // 2, len(whole) - 1):
         path = tmp_path / "cut.h5"
         path.write_bytes(whole[:length])
-        refuses(path, ("file", "cut off", "whole"))
+        refuses(path, ("file", "cut off", "complete"))
 
 
 def test_single_animal(tmp_path):
@@ -507,7 +507,7 @@ def test_the_problem_of_a_table_is_reported(tmp_path, text, expected):
 def test_all_wrong_columns_are_reported(tmp_path):
     nameless = ((f"column {kind}", "without a printable name") for kind in ("x", "y", "likelihood"))
     refuses(save(tmp_path, SINGLE.replace("nose", "")), *nameless)
-    twice = (("bodypart nose", "several columns"), ("bodypart nose", "no y"))
+    twice = (("bodypart nose", "several columns"), ("bodypart nose", "no column y"))
     refuses(save(tmp_path, SINGLE.replace("coords,x,y,", "coords,x,likelihood,")), *twice)
 
 
@@ -521,7 +521,7 @@ def test_all_bad_cells_are_named_up_to_ten(tmp_path):
         read_keypoints(save(tmp_path, "\n".join([*SINGLE.splitlines()[:3], *rows])))
     *cells, more = caught.value.problems
     assert [cell.found for cell in cells] == ["'x'"] * 10
-    assert says(more.found, "14 similar problems")
+    assert says(more.found, "14 more problems")
 
 
 def test_problems_of_different_kinds_come_together(tmp_path):
@@ -655,7 +655,7 @@ def test_pose3d(tmp_path):
         (SINGLE, ("coords", "no z", "3D positions")),
         (MULTI, ("coords", "no z", "3D positions")),
         ("frame,x,y,z\n", ("format", "'frame,x,y,z'", "DeepLabCut CSV")),
-        (SINGLE.replace("coords,x,y,likelihood", "coords,x,y,z"), ("bodypart tail", "no z", "x, y, z")),
+        (SINGLE.replace("coords,x,y,likelihood", "coords,x,y,z"), ("bodypart tail", "no column z", "x, y, z")),
         ("", ("file", "empty")),
     ],
 )

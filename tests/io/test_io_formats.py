@@ -104,7 +104,7 @@ def test_sleap_problems(tmp_path):
     path = sleap_file(tmp_path / "c.h5", dims=False, point_scores=np.ones((5, 2)))
     refuses(path, ("point_scores", ["float64 (5, 2)", "track, node, frame"], "track, node, frame"))
     path = sleap_file(tmp_path / "d.h5", dims=False, track_occupancy=np.zeros((5, 2)))
-    refuses(path, ("frames", "none with the animal"), individual="a")
+    refuses(path, ("frames", "no frame with the animal"), individual="a")
 
 
 def test_real_sleap(shared_data):
@@ -196,8 +196,8 @@ def test_movement_3d(tmp_path):
     """The unit of 3D positions in a movement file has to be given, unless recon wrote the file."""
     data = movement_data(False, "xyz")
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
-    refuses(tmp_path / "a.nc", ("coords", "x, y, z: 3D positions", "2D keypoints"), individual="a")
-    refuses(tmp_path / "a.nc", ("unit", "none", "m, cm, mm (--unit)"), individual="a", read=read_pose3d)
+    refuses(tmp_path / "a.nc", ("coords", "3D positions (x, y, z)", "2D keypoints"), individual="a")
+    refuses(tmp_path / "a.nc", ("unit", "no unit", "m, cm, mm (--unit)"), individual="a", read=read_pose3d)
     pose = read_pose3d(tmp_path / "a.nc", "a", unit="mm")
     values = data["position"].to_numpy()[..., 0].transpose(0, 2, 1)
     np.testing.assert_allclose(pose.xyz_m, values / 1000)
@@ -236,7 +236,7 @@ def test_real_nwb(shared_data):
             np.testing.assert_array_equal(found.confidence[:, 1], series["confidence"])
     paw = ("PoseEstimation/front_right_paw", "(100, 2)", ["(100, 3)", "front_left_paw"])
     refuses(folder / "0.1.1_poseestimation_nodes_edges.nwb", paw)
-    refuses(folder / "0.1.1_poseestimation_no_cameras.nwb", ("PoseEstimationSeries", "none", "ndx-pose"))
+    refuses(folder / "0.1.1_poseestimation_no_cameras.nwb", ("PoseEstimationSeries", "no series", "ndx-pose"))
 
 
 def nwb_file(path: Path, edit=None) -> Path:

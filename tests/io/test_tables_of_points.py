@@ -66,7 +66,7 @@ def test_anipose_3d_csv(tmp_path):
     pose = read_pose3d(path, unit="mm")
     assert (pose.names, pose.frames.tolist()) == (("nose",), [7, 8])
     np.testing.assert_allclose(pose.xyz_m[:, 0], [[0.01, 0.02, 0.03], [NAN] * 3])
-    refuses(path, ("unit", "none", "m, cm, mm (--unit)"), read=read_pose3d)
+    refuses(path, ("unit", "no unit", "m, cm, mm (--unit)"), read=read_pose3d)
     refuses(path, ("coords", "3D positions", "2D keypoints"))
     metres = save(tmp_path / "b.csv", "frame,nose_x_m,nose_y_m,nose_z_m\n0,1,2,3\n")
     assert read_pose3d(metres).xyz_m.tolist() == [[[1, 2, 3]]]
@@ -266,7 +266,7 @@ def test_blank_and_repeated_columns_of_deeplabcuts_tables(tmp_path):
     with refusal((path, "bodypart nose", "different numbers", "one column for each coordinate")):
         read_keypoints(path)
     path.write_text("\n".join([*rows[:4], ",1,5,8,6,5"]))
-    with refusal((path, "line 5", "5 cells", "4, as in the header")):
+    with refusal((path, "line 5", "5 cells", "4 cells, as in the header")):
         read_keypoints(path)
 
 
@@ -449,7 +449,7 @@ def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("\n".join([*rows, "bodyparts,nose,nose,nose", "coords,x,y,z", "0,100,200,3000"]))
     if asked:
-        with refusal((path, "unit", "none", "--unit")):
+        with refusal((path, "unit", "no unit", "--unit")):
             read_pose3d(path)
     found = read_pose3d(path, unit="mm" if asked else None)
     np.testing.assert_allclose(found.xyz_m[0, 0], np.array([100, 200, 3000]) / (1000 if asked else 1))
