@@ -120,7 +120,7 @@ def solve_time_offsets(
     names = [source.camera.name for source in sources_apart]
     unmatched = [name for name, frames in zip(names, search_result, strict=True) if np.isnan(frames)]
     if unmatched:
-        expected = "30 or more points that this camera and another see together"
+        expected = "30 or more points that this camera and another camera see together"
         raise InputError(
             Problem("--set find-offsets", f"camera {name}", "too few points in common", expected) for name in unmatched
         )
@@ -140,6 +140,8 @@ def solve_time_offsets(
 def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: Array) -> Iterator[Problem]:
     for name, frames, lag, sigma in zip(names, offsets, rest_frames, sigmas, strict=True):
         if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
-            lag_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, hardly determined by the motion"
-            expected = f"a clip that determines it to {MAX_SIGMA_FRAMES:g} frame, or a measured offset (--set offset-s)"
+            offset_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames"
+            lag_text = f"an offset of {offset_text}, which the motion hardly determines"
+            limit = f"{MAX_SIGMA_FRAMES:g} frame"
+            expected = f"a clip that determines the offset to {limit}, or a measured offset (--set offset-s)"
             yield Problem("--set find-offsets", f"camera {name}", lag_text, expected)

@@ -40,7 +40,7 @@ def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
     errors = []
     if report["written"] is None:
         errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
-        advice = f"correct that, or use --force. Picture: {report['picture']}"
+        advice = f"correct this, or use --force. Picture: {report['picture']}"
         errors.append(f"{settings.out} was not written: {advice}")
     data = json.dumps(report, indent=1) + "\n"  # print the camera with full precision
     return Answer(data, _calibration_lines(report), errors)
@@ -133,7 +133,7 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
         )
         height = length_text(camera.centre_world[2], camera_report["height_sigma_m"])
         distance = length_text(math.dist(camera.centre_world, first))
-        yield f"{camera.name}: {height} high, {distance} from the first{uncertainty}"
+        yield f"{camera.name}: {height} high, {distance} from the first camera{uncertainty}"
     for clip in report["clips"]:
         if clip["found_offsets"]:
             names, offsets = [Path(path).name for path in clip["keypoints"]], clip["offset_s"]

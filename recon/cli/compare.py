@@ -41,7 +41,7 @@ def compare(settings: CompareSettings, progress: Progress) -> Answer:
         return answer
     if comparison.experiment is None:
         raise InputError(
-            Problem(PLAN, "variances", "clips without animals", "--design or --names, which name the animals")
+            Problem(PLAN, "variances", "clips of unknown animals", "--design or --names, which name the animals")
         )
     planned = _planned(plan_experiment(plan, comparison.experiment.variances))
     return Answer({**answer.data, **planned.data}, [*answer.lines, *planned.lines], notes=answer.notes)

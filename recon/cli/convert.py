@@ -127,9 +127,7 @@ def _require_content(source: Path, data: Keypoints | Pose3D, motion: Motion | No
         fits, expected = "2D" in target.writes, f"3D positions for {target.title}: fit the clip first (recon fit)"
     else:
         fits = "3D" in target.writes
-        expected = (
-            f"2D keypoints for {target.title}: 3D positions can be written --to deeplabcut (recon convert --list)"
-        )
+        expected = f"2D keypoints for {target.title}: --to deeplabcut writes 3D positions (recon convert --list)"
     if not fits or target.write is None:
         content = "2D keypoints" if isinstance(data, Keypoints) else "3D positions"
         raise InputError(Problem(source, "content", content, expected))
@@ -181,8 +179,8 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
 def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
     """Raise InputError if any of the options `names` is given, because they do not apply to the source's content."""
     options = [f"--{name}" for name in names if getattr(settings, name) is not None]
-    expected = "another kind of file, or this option left out"
-    raise_problems([Problem(option, "IN", f"{content}, {source}", expected) for option in options])
+    found = f"{content} in {source}"
+    raise_problems([Problem(option, "IN", found, f"no {option}, which they do not need") for option in options])
 
 
 def _pose_of(motion: Motion) -> Pose3D:
@@ -212,7 +210,7 @@ def choose_format(out: Path, name: str | None, formats: Sequence[Format] = CONVE
     names = tuple(dict.fromkeys(f.name for f in formats))
     if name is not None and name not in names:
         is_robot_format = name in [f.name for f in _robot_formats()]
-        wanted = "IN to be a folder that `recon retarget` wrote" if is_robot_format else f"one of: {', '.join(names)}"
+        wanted = "a folder that `recon retarget` wrote as IN" if is_robot_format else f"one of: {', '.join(names)}"
         raise InputError(Problem("--to", "format", f"'{name}'", wanted))
     named = [f for f in formats if name in (None, f.name)]
     chosen = next((f for f in named if out.suffix.lower() in f.suffixes), None)

@@ -67,7 +67,7 @@ class FixSettings(ResultSettings):
         if self.export_labels is not None and self.video is None:
             yield Problem("settings", "video", "nothing", "the video, whose frames are exported with the labels")
         if self.export_labels is None and self.with_accepted:
-            yield Problem("settings", "with_accepted", "no --export-labels", "both or neither")
+            yield Problem("settings", "with_accepted", "no --export-labels", "both options or neither")
         if self.export_labels is None and self.export_table is None and self.overwrite:
             yield Problem("settings", "overwrite", "nothing to replace", "--export-labels or --export-table as well")
 
@@ -87,9 +87,9 @@ def fix(settings: FixSettings, console: Console) -> Answer:
     if settings.export_labels is not None or settings.export_table is not None:
         return _export(settings, motion, number, out)
     if not out.parent.is_dir():
-        raise InputError(Problem("--out", "folder", f"{out.parent}, no such folder", "an existing folder"))
+        raise InputError(Problem("--out", "folder", f"no folder {out.parent}", "an existing folder"))
     if out.is_symlink():
-        raise InputError(Problem("--out", "file", f"{out}, a link", "a file, not a link"))
+        raise InputError(Problem("--out", "file", f"the link {out}", "a file, not a link"))
     with sole_editor(out), TemporaryDirectory() as folder:
         session = CorrectionSession.open(settings.folder, out, number)
         pictures = Path(folder)
@@ -163,7 +163,7 @@ def _require_length(frames: Integers, video: Path, start: int) -> None:
     """
     stated, needed = probe(video).stated_frames, int(frames.max()) + 1 - start
     if stated is not None and stated < needed:
-        expected = f"{needed} or more: the video of this clip, or --first-frame for a video that was cut"
+        expected = f"{needed} frames or more: the video of this clip, or --first-frame for a video that was cut"
         raise InputError(Problem(video, "video", f"{stated} frames", expected))
 
 

@@ -59,7 +59,7 @@ class LabelSettings(Settings):
     def problems(self) -> Iterator[Problem]:
         """Yield a problem if --camera-name or --first-frame is given without --result."""
         if self.result is None and (self.camera_name is not None or self.first_frame):
-            yield Problem("settings", "result", "nothing", "--result with --camera-name or --first-frame")
+            yield Problem("settings", "result", "nothing", "a result, which --camera-name and --first-frame need")
 
 
 def label(settings: LabelSettings, console: Console) -> Answer:

@@ -64,6 +64,6 @@ class ViewSettings(ResultSettings):
         """Yield problems with options that need a video."""
         for name in ("first_frame", "camera_name"):
             if getattr(self, name) and self.video is None:
-                yield Problem("settings", name, "no --video", "both or neither")
+                yield Problem("settings", name, "no --video", "both options or neither")
         if self.web and self.out is not None:
-            yield Problem("--web", "viewer", f"--out {self.out} as well", "only one of the two")
+            yield Problem("--web", "viewer", f"--out {self.out} as well", "only one of the two options")

@@ -107,7 +107,12 @@ class _RunSettings(Settings):
                 "--corrections", "corrections", actual, f"{CORRECTIONS} in the folder of each video's results"
             )
         if {"detect": self.model, "camera-motion": self.camera_motion}.get(self.start or "", ()) is None:
-            yield Problem("--from", "stage", repr(self.start), "a stage that this run has")
+            yield Problem(
+                "--from",
+                "stage",
+                f"{self.start!r} without --{'model' if self.start == 'detect' else self.start}",
+                "a stage of this run",
+            )
 
     @property
     def track(self) -> Path:
@@ -225,18 +230,16 @@ def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     )
     if settings.fps is None:
         if info.fps is None:
-            raise InputError(
-                Problem("--fps", "fps", f"nothing ({run_settings.video} does not state it)", "frames per second")
-            )
+            raise InputError(Problem("--fps", "fps", f"no frame rate in {run_settings.video}", "frames per second"))
         settings = replace(settings, fps=info.fps)
     return _Job(run_settings, with_corrections_in(run_settings.out, settings))
 
 
 def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> Iterator[Problem]:
     if run_settings.camera_motion is not None and options.get("camera") is None:
-        yield Problem("--camera-motion", "camera", "nothing", "--camera with the camera's lens")
+        yield Problem("--camera-motion", "camera", "no camera file", "--camera with the camera's lens")
     if run_settings.camera_motion is not None and options.get("camera_track"):
-        yield Problem("--camera-motion", "motion", "a camera track as well", "only one of the two")
+        yield Problem("--camera-motion", "motion", "--camera-track as well", "only one of the two options")
 
 
 def run_video(
@@ -315,7 +318,7 @@ def _require_own(name: str, stage: _Stage, job: _Job, record: Record, must_run: 
     stage.output.require(stage.names)
     present = [path for path in (stage.output.folder / file for file in stage.names) if os.path.lexists(path)]
     if present and name not in record.rows and not must_run and not job.run.overwrite:
-        more_files = f", and {len(present) - 1} more" if len(present) > 1 else ""
+        more_files = f" (one of {len(present)} in the folder)" if len(present) > 1 else ""
         expected = "another --out, or --overwrite"
         raise InputError(Problem(present[0], "file", f"a file of another command{more_files}", expected))
 

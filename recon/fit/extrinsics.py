@@ -232,7 +232,7 @@ def _initial_poses(clips: Sequence[ClipProblem], progress: Progress) -> list[Cli
         best = max(joints_by_camera, key=lambda i: int(shared_frames[i].sum()))
         if shared_frames[best].sum() < _MIN_FRAMES:
             name = f"camera {clips[0].views[best].camera.name}"
-            expected = "frames in which this camera and another see enough points for a pose"
+            expected = "more frames in which this camera and another camera see enough points for a pose"
             raise InputError(Problem("KEYPOINTS", name, "too few frames", expected))
         T = _rigid_motion(
             known[shared_frames[best]].reshape(-1, 3), joints_by_camera[best][shared_frames[best]].reshape(-1, 3)

@@ -207,7 +207,7 @@ class Motion:
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
             raise InputError(Problem("sample", "n", repr(n), "a whole number above 0"))
         if not isinstance(self.solution, TrajectorySolution):
-            raise InputError(Problem("sample", "method", "frame by frame", "a fit of all frames at once"))
+            raise InputError(Problem("sample", "method", "a fit frame by frame", "a fit of all frames at once"))
         from recon.fit.sampling import sample_joints
 
         return sample_joints(self.sources, self.solution, self.fps, self.settings, int(n), seed)

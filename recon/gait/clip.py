@@ -433,7 +433,7 @@ def analyse(
     is_known = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     if is_known.sum() < MIN_POINTS:
         pose_count = f"{is_known.sum()} frames with a pose"
-        raise InputError(Problem(motion.file, "frames", pose_count, f"at least {MIN_POINTS}"))
+        raise InputError(Problem(motion.file, "frames", pose_count, f"at least {MIN_POINTS} frames"))
     return ClipAnalysis(motion, stride)
 
 
@@ -448,7 +448,8 @@ def over_belt(motion: Motion, speed_m_s: float) -> Motion:
         If the fit already had a belt speed.
     """
     if (fitted_m_s := motion.settings.get("belt_speed_m_s")) is not None:
-        raise InputError(Problem("--belt-speed", "speed", f"{speed_m_s:g}", f"none: the fit had {fitted_m_s:g} m/s"))
+        expected = f"no --belt-speed, because the fit already used {fitted_m_s:g} m/s"
+        raise InputError(Problem("--belt-speed", "speed", f"{speed_m_s:g} m/s", expected))
     path_m = belt_path_m(motion.solution, motion.time_s, speed_m_s)
     findings = tuple(finding for finding in motion.findings if finding.code != "treadmill")
     verdict = motion.verdict
@@ -472,8 +473,8 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     first_s, last_s = motion.time_s[[0, -1]]
     slack = 0.5 / motion.fps
     if not first_s - slack <= start_s < end_s <= last_s + slack or end_s - start_s < 2 / motion.fps:
-        expected = f"two frames or more within {first_s:.3f}:{last_s:.3f}, in seconds"
-        raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g}", expected))
+        expected = f"START:END between {first_s:.3f} and {last_s:.3f} s, with two frames or more"
+        raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g} s", expected))
     return _from_pose(motion, Stride("", start_s, end_s, np.nan, np.nan, np.nan, "given"))
 
 

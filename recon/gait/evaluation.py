@@ -179,7 +179,7 @@ def evaluate_files(
     common_count, smaller_count = len(result.frames), min(len(pose.frames), len(truth.frames))
     # If only a few frames were labelled, their numbers are a subset of the other file's, which needs no note.
     if common_count <= smaller_count / 2:
-        shared = f"only {common_count} of {smaller_count} frame numbers are in both"
+        shared = f"only {common_count} of {smaller_count} frame numbers are in both files"
         notes += (f"{shared}: the reference may belong to another run",)
     notes += () if rename else tuple(_other_names(pose, truth, result))
     if _is_result(truth_path) and not _is_result(pose_path):
@@ -213,7 +213,7 @@ def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     inside = (first >= 0) & (second >= 0)
     rates = f"{truth.fps:g} frames per second, and {pose.fps:g} in {pose.source}"
     if not inside.any():
-        raise InputError(Problem(str(truth.source), "fps", f"{rates}, with no time in common", "a common time"))
+        raise InputError(Problem(str(truth.source), "fps", f"{rates}, but no common time", "common times"))
     weight = fraction[inside, None, None]
     start_m, end_m = truth.xyz_m[first[inside]], truth.xyz_m[second[inside]]
     xyz_m = np.where(weight > 0, start_m + weight * (end_m - start_m), start_m)
@@ -356,12 +356,13 @@ def _nothing_in_common(
     problems = []
     if not names:
         examples = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
-        problems.append(Problem(pose_name, "joints", f"none in common ({examples})", f"joints of {truth_name}"))
+        problems.append(Problem(pose_name, "joints", f"no common joint ({examples})", f"joints of {truth_name}"))
     if not len(frames):
         examples = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
-        problems.append(Problem(pose_name, "frames", f"none in common ({examples})", f"frames of {truth_name}"))
+        problems.append(Problem(pose_name, "frames", f"no common frame ({examples})", f"frames of {truth_name}"))
     if not problems and not common.any():
-        problems.append(Problem(pose_name, "positions", "no joint known in both files in any frame", "at least one"))
+        expected = "a joint that both files know in the same frame"
+        problems.append(Problem(pose_name, "positions", "no joint known in both files in any frame", expected))
     return problems
 
 

@@ -276,7 +276,9 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
     """Return the T frames with a pose, with their joint rates, and their times (T,), seconds since frame 0."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
-        raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
+        raise InputError(
+            Problem("results", "frames", f"{len(known)} frames with a pose", f"at least {MIN_POINTS} frames")
+        )
     q, at_s = limb.q[known], known / limb.fps
     dq = CubicSpline(at_s, q)(at_s, 1)
     return Frames.without_gaps(limb.chain, q, (limb.chain.jacobian(q) @ dq[..., None])[..., 0], dq), at_s

@@ -156,9 +156,8 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
     # So many points outside cannot be labelling errors: the labels belong to other pictures.
     if outside.sum() > MAX_OUTSIDE_FRACTION * read.labelled.sum():
         i, k = np.argwhere(outside)[0]
-        detail = (
-            f"{outside.sum()} of {read.labelled.sum()} points are outside, first {read.names[k]} in {read.images[i]}"
-        )
+        first = f"the first is {read.names[k]} in {read.images[i]}"
+        detail = f"{outside.sum()} of {read.labelled.sum()} points outside their pictures ({first})"
         raise InputError(Problem(read.source, "labels", detail, "labels inside their pictures"))
     return read
 
@@ -175,7 +174,7 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
     """
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
-        raise InputError(Problem(path, "labels", "none, every cell is empty", "at least one labelled point"))
+        raise InputError(Problem(path, "labels", "only empty cells", "at least one labelled point"))
     return keypoints, images
 
 
@@ -203,8 +202,8 @@ def _read_video(video: Path, path: Path, first_frame: int, individual: str | Non
     if missing := [image for image, number in zip(images, numbers, strict=True) if number not in pictures]:
         stated = "" if info.stated_frames in (None, decoded) else f" (the file states {info.stated_frames})"
         expected = (
-            f"a picture for each of the {len(numbers)} labelled frames; {len(missing)} have none, first {missing[0]}. "
-            "--first-frame is the number that the labels use for the video's first frame"
+            f"a picture for each of the {len(numbers)} labelled frames; {len(missing)} have none, the first is "
+            f"{missing[0]}. --first-frame is the number that the labels use for the video's first frame"
         )
         raise InputError(Problem(video, "frames", f"{decoded} decodable frames{stated}", expected))
     return _labels_of_clip(video, keypoints, images, [pictures[number] for number in numbers], path)
@@ -230,7 +229,7 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
     ]
     if not parts:
         raise InputError(Problem(folder, "labels", "none in any label file", "at least one labelled point"))
-    names, expected = parts[0].names, f"those of {parts[0].source}: {', '.join(parts[0].names)}"
+    names, expected = parts[0].names, f"the bodyparts of {parts[0].source}: {', '.join(parts[0].names)}"
     unlike = [p for p in parts if sorted(p.names) != sorted(names)]
     raise_problems(Problem(p.source, "bodyparts", ", ".join(p.names), expected) for p in unlike)
     joined = {name: sum((getattr(p, name) for p in parts), ()) for name in ("images", "clips", "pictures", "notes")}
@@ -341,7 +340,7 @@ def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[
     validation_pictures = _choose(labels, remaining, chosen[0], seed + 1, "--validation")
     train = np.setdiff1d(remaining, validation_pictures)
     if not labels.labelled[train].any():
-        description = f"none of {len(labels.images)} pictures with labels is left to train on"
+        description = f"no picture left to train on, of {len(labels.images)} pictures with labels"
         raise InputError(Problem("--validation, --test", "split", description, "smaller fractions"))
     return dict(zip(PARTS, (train, validation_pictures, test_pictures), strict=True))
 
@@ -381,7 +380,7 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
             limits = f"{'' if low is None else low}:{'' if high is None else high}"
             ends = f"{numbers.min()} to {numbers.max()}" if len(numbers) else "none"
             raise InputError(
-                Problem(option, "frames", f"none in the range {limits}", f"numbers of the labels ({ends})")
+                Problem(option, "frames", f"no label in the range {limits}", f"frame numbers of the labels ({ends})")
             )
         return chosen
     if choice == 0 or len(remaining) < 2:

@@ -494,7 +494,7 @@ def model_file(folder: Path) -> Path:
     path = folder / MODEL_FILE if folder.is_dir() else folder
     if not path.is_file():
         expected = f"the {MODEL_FILE} of a folder written by `recon train`"
-        raise InputError(Problem("--model", "file", f"{path}, no such file", expected))
+        raise InputError(Problem("--model", "file", f"no file {path}", expected))
     return path
 
 
@@ -535,7 +535,7 @@ def load_torch(path: Path) -> dict[str, Any]:
                 raise ValueError("more than names and sizes")  # torch would take long to unpickle more
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        damage = "torch cannot read it; it is damaged or another kind of file"
+        damage = "a file that torch cannot read, because it is damaged or of another kind"
         raise InputError(Problem(path, "model", damage, "a file written by `recon train`")) from error
 
 
@@ -650,7 +650,7 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
             progress(f"frame {of_chunk[-1]}", min(1.0, count / total))
         lost = (stated := info.stated_frames or 0) - count
         if not settings.partial and lost > max(LOST_FRAMES, MAX_LOST_FRACTION * stated):
-            expected = f"{stated} frames, as the file states; --partial accepts fewer"
+            expected = f"{stated} frames, as the file states; --partial accepts fewer frames"
             raise InputError(Problem(video, "frames", f"{count} decodable frames", expected))
     numbers, times_s, xy_px, likelihood = (np.concatenate(column) for column in zip(*results, strict=True))
     note = missing_note(video, times_s)

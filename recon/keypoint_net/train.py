@@ -373,19 +373,26 @@ def _resumed(run: TrainingRun, out: Path) -> State:
         raise InputError(Problem(path, "checkpoint", "a file of another kind", "a file written by `recon train`"))
     problems = []
     if content["names"] != list(run.spec.names):
-        expected = f"those of the labels: {', '.join(run.spec.names)}"
+        expected = f"the keypoints of the labels: {', '.join(run.spec.names)}"
         problems.append(Problem(path, "keypoints", ", ".join(content["names"]), expected))
     for name, value in run.settings.of_training().items():
         was = content["settings"].get(name)
         if to_plain(value) != to_plain(was):
             problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as given now"))
     if not problems and content["split"] != data.frames_by_part(run.labels, run.split):
-        problems.append(Problem(path, "pictures", "a different split", "the labels and split of the run so far"))
+        problems.append(
+            Problem(
+                path,
+                "pictures",
+                "labels or a split that have changed",
+                "the labels and the split with which the run began",
+            )
+        )
     state = _begin(run)
     same = content["network"].keys() == state.network.state_dict().keys() and {*_PLAIN} <= content.keys()
     if not problems and not same:
         expected = "a network of this version of recon; --overwrite starts again"
-        problems.append(Problem(path, "network", "started by another version", expected))
+        problems.append(Problem(path, "network", "a network that another version of recon started", expected))
     raise_problems(problems)
     for name in _TORCH:
         getattr(state, name).load_state_dict(content[name])

@@ -251,7 +251,9 @@ def table_answer(settings: TableSettings) -> dict[str, Any]:
     if settings.angles is not None:
         q = np.array(_numbers("--angles", settings.angles))
         if len(q) != chain.n:
-            raise InputError(Problem("--angles", "joints", f"{len(q)} numbers", f"{chain.n}, one for each joint"))
+            raise InputError(
+                Problem("--angles", "joints", f"{len(q)} numbers", f"{chain.n} numbers, one for each joint")
+            )
         q = np.where(chain.sliding, q, np.radians(q))
         end = _pose_answer(_transform(*chain.pose(q)))
         answer["forward"] = {"q": q, **end, "within_limits": _within(chain, q)}
@@ -285,15 +287,15 @@ def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | 
     if tip in LEGS:
         return load_robot(source).legs[tip].chain, None
     if source in builtin_robots():
-        raise InputError(Problem("--tip", "leg", str(tip or "none"), f"one of {', '.join(LEGS)}"))
+        raise InputError(Problem("--tip", "leg", str(tip or "no leg"), f"one of {', '.join(LEGS)}"))
     if (file := Path(source)).suffix.lower() in SUFFIXES:
         model = models.read_model(file)
         ends = [tip] if tip is not None else [models.body_names(model)[leaf - 1] for leaf in models.leaves_of(model)]
         if len(ends) > 1:
-            raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
+            raise InputError(Problem("--tip", "link", "no link", f"one of {', '.join(ends)}"))
         return models.model_chain(model, file, ends[0]), None
     if tip is not None:
-        raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
+        raise InputError(Problem("--tip", "link", tip, "no --tip, because the file has only one chain"))
     chain, convention, rows = load_dh(file)
     return chain, _table(convention, rows)
 

@@ -45,7 +45,7 @@ def require_mujoco(source: str | Path) -> ModuleType:
         import mujoco
     except ImportError:
         expected = f"the package mujoco: {install_command('robots')}"
-        raise InputError(Problem(source, "robot", "MuJoCo is not installed", expected)) from None
+        raise InputError(Problem(source, "robot", "no package mujoco", expected)) from None
     return mujoco
 
 
@@ -180,7 +180,7 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
     # MuJoCo numbers a slide 2 and a hinge 3.
     unlike = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]
     expected = "a joint that turns or slides"
-    raise_problems(Problem(path, f"joint {name}", "a joint of another kind", expected) for name in unlike)
+    raise_problems(Problem(path, f"joint {name}", "a joint that neither turns nor slides", expected) for name in unlike)
     mujoco = require_mujoco(path)
     mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # new data has all joints at 0
     root_axes, tip_axes = (data.xmat[body].reshape(3, 3) for body in (start, last))

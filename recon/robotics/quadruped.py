@@ -331,7 +331,7 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
 
 
 def _cannot_stand(source: str, label: str) -> Problem:
-    detail = f"leg {label} does not reach the ground within its limits"
+    detail = f"a height at which leg {label} does not reach the ground within its limits"
     return Problem(source, "stand_m", detail, "a height at which the robot can stand")
 
 
@@ -360,11 +360,11 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     labels = [f"{'L' if y > 0 else 'R'}{'F' if x > 0 else 'H'}" for x, y, _ in hips - hips.mean(axis=0)]
     if sorted(labels) != sorted(LEGS):
         hips_text = "; ".join(f"({x:.2f}, {y:.2f})" for x, y, _ in hips)
-        raise InputError(Problem(path, "hips", hips_text, "one at each corner, x forwards and y left"))
+        raise InputError(Problem(path, "hips", hips_text, "one hip at each corner, with x forwards and y to the left"))
     shortest = min(float(chain.lengths_m[1:].sum()) for chain in chains)
     stand = STANDING_HEIGHT * shortest
     if not stand > SHORTEST_M:
-        raise InputError(Problem(path, "legs", f"{shortest:g} m long", f"legs longer than {SHORTEST_M:g} m"))
+        raise InputError(Problem(path, "legs", f"a leg {shortest:g} m long", f"legs longer than {SHORTEST_M:g} m"))
     neutral = hips - [0.0, 0.0, stand]
     legs = {}
     for label, chain, foot in zip(labels, chains, neutral, strict=True):

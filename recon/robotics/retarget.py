@@ -173,7 +173,7 @@ def _longest_complete(motion: Motion, tracks: Tracks, trunk: Array) -> Index:
     rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))
     if len(rows) < MIN_SAMPLES:
         detail = f"{len(rows) // 10} consecutive frames with all feet and the trunk"
-        raise InputError(Problem(motion.file, "frames", detail, f"at least {MIN_SAMPLES // 10}"))
+        raise InputError(Problem(motion.file, "frames", detail, f"at least {MIN_SAMPLES // 10} frames"))
     return rows
 
 
@@ -232,8 +232,8 @@ def stride_window(animal: Animal) -> StrideWindow:
     if stride is not None:
         first, last = (int(np.argmin(np.abs(time - t))) for t in (stride.start_s, stride.end_s))
         if time[last] - time[first] < 0.8 * (stride.end_s - stride.start_s):
-            expected = f"within {time[0]:.3f}:{time[-1]:.3f}, where all feet are seen"
-            raise InputError(Problem("--stride", "times", f"{stride.start_s:g}:{stride.end_s:g}", expected))
+            expected = f"START:END between {time[0]:.3f} and {time[-1]:.3f} s, where all feet are seen"
+            raise InputError(Problem("--stride", "times", f"{stride.start_s:g}:{stride.end_s:g} s", expected))
     else:
         source, first, last = "return", 0, len(time) - 1
         duration = float(time[-1] - time[0])

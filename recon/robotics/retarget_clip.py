@@ -450,8 +450,8 @@ class RobotSamples:
         duration = float(motion.time_s[-1] - motion.time_s[0])
         frames = round(duration * rate_hz)
         if frames < 1:
-            expected = f"at least {1 / duration:.1f}, for two frames in {duration:.2f} s"
-            raise InputError(Problem(option, "frames per second", f"{rate_hz:g}", expected))
+            expected = f"at least {1 / duration:.1f} frames per second, so that {duration:.2f} s have two frames"
+            raise InputError(Problem(option, "frame rate", f"{rate_hz:g} frames per second", expected))
         self.robot, self.loops, self.rate_hz = motion.robot, motion.advance_m is not None, frames / duration
         self.time_s = np.linspace(0.0, duration, frames + 1)
         at, tree = motion.time_s[0] + self.time_s, motion.robot.tree
@@ -499,7 +499,8 @@ def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
 def _amp(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
     robot = samples.robot
     if any(len(leg.joints) != AMP_JOINTS for leg in robot.legs.values()):
-        expected = f"a robot with {AMP_JOINTS} joints per leg, or another format"
+        robot_text = f"a robot with {AMP_JOINTS} joints per leg, {AMP_JOINTS * len(robot.legs)} in all"
+        expected = f"{robot_text}, or another --format"
         raise InputError(Problem(robot.name, "format amp", f"{len(robot.joints)} joints", expected))
     order = [joint for label in AMP_LEGS for joint in robot.legs[label].joints]
     columns = [robot.joints.index(joint) for joint in order]
@@ -655,8 +656,8 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
         for name, shape in shapes.items():
             values: Array = getattr(kept, name)
             if values.shape != shape or not np.isfinite(values).all():
-                expected = f"finite numbers {shape}, {joints} joints as in {named}"
-                raise InputError(Problem(path, name, f"{values.shape}", expected))
+                expected = f"finite numbers in the shape {shape}, for the {joints} joints of {named}"
+                raise InputError(Problem(path, name, f"numbers in the shape {values.shape}", expected))
         if n < 2 or not (np.diff(kept.time_s) > 0).all() or not kept.quaternion_xyzw.any(axis=1).all():
             raise InputError(Problem(path, "content", "no motion", "increasing times, and rotations"))
         return RobotMotion(**vars(kept), robot=robot)

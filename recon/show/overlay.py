@@ -197,7 +197,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
         decoded_text = f"{decoded} frames that can be decoded"
         if stated is not None and stated > decoded:
             decoded_text += f" of the {stated} that the file states"
-        expected = f"{last + 1 - first_frame} or more, for the frames {first} to {last}: the video of this clip"
+        expected = f"{last + 1 - first_frame} frames or more, for the frames {first} to {last}: the video of this clip"
         expected += f", or --first-frame {first} if the video was cut to begin there"
         raise InputError(Problem(video, "video", decoded_text, expected))
 

@@ -47,7 +47,7 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
     difference_m = np.abs(motion.body.tree.pose(states, motion.size).points_m - joints_m).max(axis=(1, 2))
     is_known = np.isfinite(difference_m)
     if not is_known.any():
-        raise InputError(Problem(motion.file, "frames", "none with a pose", "at least one"))
+        raise InputError(Problem(motion.file, "frames", "no frame with a pose", "at least one frame with a pose"))
     if difference_m[is_known].max() > SAME_M:
         expected = "bones of constant length: fit with --set method=trajectory"
         raise InputError(Problem(motion.file, "size", "lengths that change from frame to frame", expected))

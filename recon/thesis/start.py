@@ -118,7 +118,7 @@ def parse_start_angles(text: str, chain: UnknownsChain) -> dict[int, float]:
         except ValueError:
             degrees = math.nan
         if index.get(name) not in angle_columns or not math.isfinite(degrees):
-            expected = f"name=degrees, such as th6=55, with a name of {', '.join(allowed)}"
+            expected = f"name=degrees, such as th6=55, with one of the names {', '.join(allowed)}"
             problems.append(Problem("--start-angles", "angle", repr(part.strip()), expected))
         else:
             angles[index[name]] = math.radians(degrees)

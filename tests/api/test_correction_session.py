@@ -186,7 +186,7 @@ def test_corrections_of_another_clip_are_refused(session: CorrectionSession, who
 def test_a_video_that_ends_before_the_clip_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A video that ends before the clip is reported before the page opens, or when decoding ends."""
     video, frames = SAMPLES / "rendered.mp4", np.arange(500)
-    with refusal((video, "video", "90 frames", "500 or more")):
+    with refusal((video, "video", "90 frames", "500 frames or more")):
         _require_length(frames, video, 0)
     _require_length(np.arange(90), video, 0)
     monkeypatch.setattr("recon.cli.fix._write_picture", lambda *_: None)

@@ -114,7 +114,7 @@ def test_the_corrected_table_has_the_corrections(whole_results: Path, correction
     ("options", "expected"),
     [
         (("--export-labels", "project"), ("--video", "video", "nothing", "the video")),
-        (("--with-accepted",), ("--with-accepted", "with_accepted", "no --export-labels", "both or neither")),
+        (("--with-accepted",), ("--with-accepted", "with_accepted", "no --export-labels", "both options or neither")),
         (("--export-table", "corrected.txt"), ("--export-table", "file", "corrected.txt", ".csv or .h5")),
     ],
 )

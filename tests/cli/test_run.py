@@ -287,14 +287,14 @@ def test_all_problems_are_reported_before_any_work(film, called):
         ("--from", "start", "'detekt'", "detect, camera-motion, fit, analyse, overlay, playback or page"),
     )
     options = ("--camera-motion", "turns", "--fps", -1, "--keypoints", film.parent / "points.csv")
-    no_lens = [(of, "camera", "nothing") for of in ("--camera", "--camera-motion")]
+    no_lens = [("--camera", "camera", "nothing"), ("--camera-motion", "camera", "no camera file")]
     refused(["run", film, "--out", film.parent / "out", *options], ("--fps", "fps", "'-1'"), *no_lens)
     args = ["run", film, "--camera", "camera.toml", "--out", film.parent / "out"]
     refused(args, ("--keypoints", "keypoints", "nothing", "--model"))
     both = ["--keypoints", "a.csv", "--model", "net"]
     refused([*args, *both], ("--keypoints", "keypoints", "a.csv together with --model", "--model"))
     refused([*args, "--keypoints", "a.csv", "--from", "detect"], ("--from", "stage", "'detect'"))
-    refused([*args, "--model", "none"], ("--model", "file", "none, no such file", "recon train"))
+    refused([*args, "--model", "none"], ("--model", "file", "no file none", "recon train"))
     assert called == []
     assert not (film.parent / "out").exists()
 

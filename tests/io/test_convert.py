@@ -378,7 +378,7 @@ def test_2d_and_3d_are_not_converted_into_each_other(files_2d, files_3d, tmp_pat
         (files_3d["movement.nc"], "content", "3D positions", ["2D keypoints for plain CSV", "--to deeplabcut"])
     ):
         convert(ConvertSettings(source=files_3d["movement.nc"], out=tmp_path / "a.csv", to="long"))
-    with refusal(("--up", "IN", ["2D keypoints", files_2d["movement.nc"]], "left out")):
+    with refusal(("--up", "IN", ["2D keypoints", files_2d["movement.nc"]], "no --up")):
         convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.csv", up="z"))
     assert list(tmp_path.iterdir()) == []
 
@@ -471,7 +471,7 @@ def test_folder_of_results(results, tmp_path):
     assert_same_pose(found, replace(expected, fps=30.0))
     assert ("neck_base", "nose") in found.edges or ("nose", "neck_base") in found.edges
     given = {"unit": "mm", "individual": "a"}
-    with refusal(*((f"--{name}", "IN", ["results", results], "left out") for name in given)):
+    with refusal(*((f"--{name}", "IN", ["results", results], f"no --{name}") for name in given)):
         convert(ConvertSettings(source=results, out=tmp_path / "b.nwb", **given))
     with refusal((tmp_path, "folder", "no motion.npz", "recon fit")):
         convert(ConvertSettings(source=tmp_path, out=tmp_path / "b.nwb"))

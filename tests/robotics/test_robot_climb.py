@@ -325,7 +325,7 @@ def test_every_problem_with_a_recipe_is_reported(tmp_path):
 
 
 def test_robots_without_swing_legs_are_refused():
-    with refusal(("a1", "legs", "legs of another kind", "swing joint")):
+    with refusal(("a1", "legs", "legs that cannot climb", "swing joint")):
         plan(load_robot("a1"), one_footfall())
 
 

@@ -121,7 +121,7 @@ def test_table_of_a_toml_file(puma):
 
 def test_table_of_a_urdf_file(urdf):
     assert [abs(row["a_m"]) for row in answer("dh", urdf, "--tip", "FL_foot")["dh"]["rows"]] == [0, 0, 0.2]
-    refused(["robot", "dh", urdf], ("--tip", "link", "none", "FL_foot, FR_foot"))
+    refused(["robot", "dh", urdf], ("--tip", "link", "no link", "FL_foot, FR_foot"))
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_table_of_a_urdf_file(urdf):
         (("pose", "aibo", "--pitch", "x"), ("--pitch", "pitch", "'x'", "degrees")),
         (("pose", "aibo", "--move", "1,2"), ("--move", "move", "'1,2'", "3 numbers")),
         (("pose", "spot"), ("--robot", "name or file", "'spot'", "a1, aibo")),
-        (("dh", "aibo"), ("--tip", "leg", "none", "LF, RF, LH, RH")),
+        (("dh", "aibo"), ("--tip", "leg", "no leg", "LF, RF, LH, RH")),
         (("dh", "aibo", "--tip", "LF", "--angles", "1,2"), ("--angles", "joints", "2 numbers", 3)),
         (("dh", "none.toml"), ("none.toml", "file", "no such file")),
     ],

@@ -172,7 +172,7 @@ def test_the_command_writes_clip_and_stride_with_the_verdict(whole_results, writ
             assert json.loads(str(file["source"]))["verdict"]["level"] in ("use", "check")
     refused(
         ["retarget", whole_results, "--robot", "go2", "--format", "amp", "--rate", "0.5", "--out", tmp_path / "go2"],
-        ("--rate", "frames per second", 0.5, ["2.9", "two frames"]),
+        ("--rate", "frame rate", 0.5, ["2.9", "two frames"]),
     )
 
 
@@ -193,7 +193,7 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
     refused(["convert", robot, out, "--to", "trc"], ("--to", "format", "'trc'", ["amp", "mjlab-csv"]))
     refused(["convert", robot, tmp_path / "motion.bvh"], (tmp_path / "motion.bvh", "extension", "'.bvh'", ".json"))
     slow = tmp_path / "slow.json"  # frames suffice for the clip but not for the stride, so nothing is written
-    refused(["convert", robot, slow, "--fps", "1.2"], ("--fps", "frames per second", "1.2", "two frames"))
+    refused(["convert", robot, slow, "--fps", "1.2"], ("--fps", "frame rate", "1.2", "two frames"))
     assert not slow.exists()
     later, expected = tmp_path / "x.json", ("--to", "format", "'amp'", "recon retarget")
     refused(["convert", whole_results, later, "--to", "amp"], expected)
@@ -206,7 +206,7 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
 
 
 def test_a_format_without_room_for_the_robot_is_refused(solved, tmp_path):
-    with refusal(("--rate", "frames per second", 0.1, ["2.6", "two frames"])):
+    with refusal(("--rate", "frame rate", 0.1, ["2.6", "two frames"])):
         RobotSamples(solved.stride, 0.1)
 
 

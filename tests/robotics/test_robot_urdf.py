@@ -210,5 +210,5 @@ def test_missing_links_are_reported(arm):
 
 def test_a_missing_mujoco_is_reported(arm, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with refusal((arm, "robot", "MuJoCo is not installed", "[robots]")):
+    with refusal((arm, "robot", "no package mujoco", "[robots]")):
         read_model(arm)

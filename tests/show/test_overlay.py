@@ -231,7 +231,7 @@ def test_a_video_of_a_varying_rate_is_reported(folder, tmp_path):
 
 
 def test_a_video_that_is_too_short_is_refused(folder, video, tmp_path):
-    with refusal((video, "video", "12 frames", ["18 or more", "frames 10 to 17", "--first-frame 10"])):
+    with refusal((video, "video", "12 frames", ["18 frames or more", "frames 10 to 17", "--first-frame 10"])):
         draw(OverlaySettings(folder=folder, video=video, out=tmp_path / "o.mp4"))
     assert list(tmp_path.iterdir()) == []
 
@@ -285,7 +285,7 @@ def test_the_video_is_behind_each_still(folder, video):
     drawn, rows, _, pictures = page_pictures(motion, 0, PageSettings(folder=folder, video=video, first_frame=7), 3)
     levels = [float(np.median(tile[-40:-4])) for tile in draw_tiles(drawn, rows, pictures)]
     np.testing.assert_allclose(levels, [30, 70, 100], atol=8)  # frames 10, 14 and 17
-    with refusal((video, "video", "12 frames", "13 or more")):
+    with refusal((video, "video", "12 frames", "13 frames or more")):
         page_pictures(motion, 0, PageSettings(folder=folder, video=video, first_frame=5), 2)
 
 

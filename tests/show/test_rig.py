@@ -236,7 +236,7 @@ def test_frames_without_a_pose(whole_results):
     assert rig.pose.frames.tolist() == list(range(2, 60))
     np.testing.assert_allclose(rig.pose.xyz_m[[0, 2, 8, -1]], xyz_m[[2, 4, 10, 59]], atol=1e-8)
     assert np.isfinite(rig.pose.xyz_m).all()
-    with refusal((SAMPLES / "whole.csv", "frames", "none with a pose")):
+    with refusal((SAMPLES / "whole.csv", "frames", "no frame with a pose")):
         rig_of(with_solution(results, states=np.nan * states))
     longer = results.upright.xyz_m * np.linspace(1, 1.1, 60)[:, None, None]
     with refusal((SAMPLES / "whole.csv", "size", "lengths that change", "constant length")):

@@ -167,7 +167,7 @@ def test_the_close_view_is_in_front_and_shows_the_video(small_trajectory: Motion
 
 
 def test_a_video_that_is_too_short_leaves_no_file(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
-    with refusal((video, "video", "11 frames", "18 or more")):
+    with refusal((video, "video", "11 frames", "18 frames or more")):
         write(small_trajectory, tmp_path / "motion.rrd", video=video)
     assert [*tmp_path.iterdir()] == []
 

@@ -377,7 +377,7 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     """
     if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
         expected = "a robot such as aibo, with legs given by dimensions and the swing joint first"
-        raise InputError(Problem(robot.name, "legs", "legs of another kind", expected))
+        raise InputError(Problem(robot.name, "legs", "legs that cannot climb", expected))
     hips, feet, pace = np.array([leg.hip_m for leg in robot.legs.values()]), recipe.feet_m, recipe.motion
     fields = recipe.primitives[0].fields
     height = float(np.mean(fields.radial.natural)) - hips[:, 2].mean()

@@ -287,7 +287,7 @@ def open_viewer(path: Path) -> None:
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
     code = subprocess.run(command, check=False).returncode
     if code:
-        ending = f"rerun ended with exit code {code}"
+        ending = f"that rerun ended with exit code {code}"
         expected = "a display; without one, make a recording (--out FILE.rrd) for rerun on another machine"
         raise InputError(Problem("recon view", "viewer", ending, expected))
 
