@@ -36,7 +36,7 @@ FLAGS: Mapping[str, str] = {
     "ambiguous depth": (
         "seen from the front or the back, or nearly as well explained by another pose: depths in the pose may be wrong"
     ),
-    SWAPPED: "left and right look swapped in the detections, and the pose has them swapped too",
+    SWAPPED: "left and right look swapped in the detections, and they are swapped in the pose too",
     OUTLIERS: (
         "the detections do not show an animal: they were left out, and the pose comes from the neighbouring frames"
     ),

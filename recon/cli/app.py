@@ -308,7 +308,7 @@ GROUPS = {
     "skeleton": "List, check and draft skeletons.",
     "subject": "Measure the lengths of one animal, and a detector's offsets from its markers.",
     "prior": "Fit motion priors: which poses occur, and how they change.",
-    "robot": "Solve a robot's kinematics: legs for a pose of the body, Denavit-Hartenberg tables.",
+    "robot": "Solve a robot's kinematics: leg angles for a pose of the body, or for a position of the foot.",
 }
 
 

@@ -46,7 +46,7 @@ MAX_NAMED = 3
 """Maximum number of clips with the same problem that are listed by name."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
 """Styles of the statuses. A clip that is done has the style of its verdict."""
-_COMMON, _WORK = "Settings of every clip", "How the work is done"
+_COMMON, _WORK = "Settings of every clip", "Execution"
 _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COMMON)]
 
 

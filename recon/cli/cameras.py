@@ -138,7 +138,7 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
         if clip["found_offsets"]:
             names, offsets = [Path(path).name for path in clip["keypoints"]], clip["offset_s"]
             offset_texts = ", ".join(f"{name} {s:+.4f} s" for name, s in zip(names[1:], offsets[1:], strict=True))
-            yield f"Began after {names[0]}: {offset_texts}"
+            yield f"Time offsets from {names[0]}: {offset_texts}"
     disagreements = [clip["disagreement"] for clip in report["clips"]]
     largest = {camera.name: max(by_camera[camera.name] for by_camera in disagreements) for camera in cameras}
     if len(disagreements) > 1 and max(largest.values()) > MAX_CHI_SQUARED:

@@ -65,7 +65,7 @@ def _table(result: Evaluation) -> Table:
 def _table_notes(result: Evaluation) -> Iterator[str]:
     thresholds = ", ".join(f"{1000 * t:g}" for t, _ in result.pck)
     yield "MPJPE   mean distance of the joints from the reference, each frame centred"
-    yield "MPE     without centring"
+    yield "MPE     the same distance without centring"
     yield "scaled  centred, and scaled to the size of the reference"
     yield "PA      centred, scaled and rotated onto the reference"
     yield f"PCK     fraction of the joints within {thresholds} mm, centred"

@@ -37,7 +37,7 @@ from recon.show.page.pages import rendered
 from recon.show.page.scripts import script, style
 
 JPEG_QUALITY = 90
-_EXPORT = "Instead of the page"
+_EXPORT = "Export instead of the page"
 
 
 class FixSettings(ResultSettings):

@@ -54,7 +54,7 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     if along:
         yield from _stride_lines(along, summary)
     if driven or along:
-        yield "limits: the first joint that reached its limit, and how many more did"
+        yield "limits: the first joint that reached its limit; +n: n further joints reached theirs"
     if summary["costs"]:
         yield from _cost_lines(summary["costs"])
     parameters = summary["parameters"]

@@ -37,7 +37,7 @@ class LabelSettings(Settings):
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video, such as run.mp4."""
     out: Path
-    """Folder for the labels. The scorer and bodyparts of a DeepLabCut project are used."""
+    """Folder for the labels. If it is a DeepLabCut project, its scorer and bodyparts are used."""
     skeleton: NameOrFile | None = None
     """The skeleton whose markers are labelled, such as cheetah-24. (default: cheetah-24, or the project's bodyparts)"""
     names: str | None = None

@@ -93,7 +93,7 @@ class _RunSettings(Settings):
     config: Path | None = None
     """config.toml of an earlier fit. Options given here override it."""
     overwrite: bool = False
-    """Replace files that recon fit, analyse and others made in DIR, but never your own files, or files changed by hand.
+    """Replace files that other commands, such as recon fit, made in --out, but never your own or hand-changed files.
     """
 
     def problems(self) -> Iterator[Problem]:
@@ -405,7 +405,7 @@ def _record(settings: ViewSettings, progress: Progress) -> Answer:
         return write_recording(settings, progress)
     answer = write_recording(replace(settings, video=None, first_frame=0), progress)
     command = f"recon view {settings.folder} --video {settings.video}"
-    text = f"the recording of {frames} frames does not have the video; to see both: {command}"
+    text = f"the recording of {frames} frames does not contain the video; to see both: {command}"
     return replace(answer, notes=[text])
 
 

@@ -31,7 +31,7 @@ from recon.io.video import Image, probe, read_frames, read_picture
 from recon.io.writing import frames_text
 from recon.show.plain import picked
 
-SPLIT = "Which pictures"
+SPLIT = "Split of the pictures"
 MAX_OUTSIDE_FRACTION = 0.1
 """Fraction of the labels outside their pictures above which the labels must belong to other pictures."""
 

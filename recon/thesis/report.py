@@ -83,7 +83,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         f"{data['frames_no_data']} without data",
     )
     across, depth = (number(data[f"joint_sigma_{direction}_m"], ".2f") for direction in ("across", "depth"))
-    size = "including size and distance (one sigma)"
+    size = "including size and distance (one standard deviation)"
     yield "uncertainty", f"±{across} m across the view, ±{depth} m in depth, {size}"
     text, timing = f"{number(data['iterations_median'], '.0f')} iterations per frame (median)", motion.timing_s
     if "solve_s" in timing:

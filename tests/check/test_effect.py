@@ -55,7 +55,7 @@ def test_a_finding_without_an_effect_keeps_its_severity():
 
 def test_a_sentence_states_the_effect_if_it_is_known():
     effect = "Without this fault, poses would change by 12 mm and positions by 40 mm."
-    assert f"(31 px, 5.2 times the expected error). {effect}" in sentence(late(0.012, 0.04))
+    assert f"(an error of 31 px, 5.2 times the expected error). {effect}" in sentence(late(0.012, 0.04))
     assert "poses would change by 8 mm and positions by 4.7 m." in sentence(late(0.008, 4.661))
     assert "error). Measure the time offset with --set find-offsets=true" in sentence(late(np.nan, np.nan))
 

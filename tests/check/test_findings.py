@@ -107,7 +107,7 @@ SENTENCES = {
         {"given": "cam1", "others": ("cam2", "cam5")},
     ),
     "left_right_swap": (
-        "look swapped in frame 10, in the fore legs, and the pose has them swapped too. Look",
+        "look swapped in frame 10, in the fore legs, and they are swapped in the pose too. Look",
         {"part": "the fore legs"},
     ),
     "left_right_swap_possible": (
@@ -131,16 +131,16 @@ SENTENCES = {
     ),
     "cameras_exchanged": ("The files of cam1, cam2 look exchanged", {"cameras": ("cam1", "cam2"), **AGAINST}),
     "cameras_disagree": (
-        "cam1, cam2 contradict each other (31 px, 5.2 times the expected error)",
+        "cam1, cam2 contradict each other (an error of 31 px, 5.2 times the expected error)",
         {"cameras": ("cam1", "cam2"), **AGAINST},
     ),
     "camera_turned": (
-        "cam1 looks turned by about 5.0 degrees relative to the other cameras (31 px, 5.2 times the expected error). "
-        "Without this fault, poses would change by 12 mm and positions by 40 mm. Check",
+        "cam1 looks turned by about 5.0 degrees relative to the other cameras (an error of 31 px, 5.2 times "
+        "the expected error). Without this fault, poses would change by 12 mm and positions by 40 mm. Check",
         {"turn_rad": np.radians(5.0), **AGAINST, "pose_effect_m": 0.012, "position_effect_m": 0.04},
     ),
     "camera_late": ("cam1 is 2.5 frames early relative to", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),
-    "camera_off": ("cam1 contradicts the other cameras (31 px", AGAINST),
+    "camera_off": ("cam1 contradicts the other cameras (an error of 31 px", AGAINST),
     "cameras_not_refined": ("would be 62.8 px off instead of 5.4", {"before_px": 5.4, "after_px": 62.8}),
     "camera_left_its_pose": ("cam1 would be turned by 17 degrees", {"turn_deg": 17.2}),
     "cameras_as_calibrated": ("keep their calibrated poses: refined poses fit no better", {}),
@@ -190,7 +190,7 @@ SENTENCES = {
         {"share": 0.4, "reasons": "9 outliers"},
     ),
     "clock_drifts": (
-        "drift from the others' by +0.9 frames over the clip, as if this camera ran at 59.06 frames",
+        "drift from those of the other cameras by +0.9 frames over the clip, as if this camera ran at 59.06 frames",
         {"drift_frames": 0.95, "rate_hz": 59.06, "given_hz": 60.0},
     ),
     "picture_stretched": ("looks stretched to 1.33 times its width", {"factor": 1.33, "sigmas": 4.0}),

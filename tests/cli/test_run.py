@@ -230,7 +230,7 @@ def test_files_of_a_user_are_not_replaced(film, called):
 def test_results_of_another_command_are_replaced_only_with_overwrite(film, called, small_trajectory):
     out = film.parent / "out"
     write_clip(small_trajectory, job(film).fit, out)
-    with refusal((out / "pose3d.csv", "file", ["another command", "more"], "--overwrite")):
+    with refusal((out / "pose3d.csv", "file", ["another command", "one of"], "--overwrite")):
         run_video(job(film))
     assert done(job(film, overwrite=True), called) == ALL
     assert not (out / "angles.csv").exists()

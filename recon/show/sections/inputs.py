@@ -148,7 +148,7 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
     """Yield sentences that state the assumptions of all methods."""
     camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
     is_single = len(motion.pictures) == 1
-    subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one pans")
+    subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one of them pans")
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
         yield f"{subject} still: if {condition} or moves, its movement is part of the path."
     for picture in motion.pictures:
@@ -173,7 +173,7 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
 
 def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     solution, body = trajectory_solution(motion), motion.body
-    measured = "not measured on this one" if body.subject is None else "measured on this animal"
+    measured = "not measured on this animal" if body.subject is None else "measured on this animal"
     size_source, size_text = given_size(motion), "this clip hardly determines it"
     if sources := size_sources(solution):
         size_text = f"measured by {' and '.join(sources)}: {plus_minus(solution.size, solution.size_sigma)}"

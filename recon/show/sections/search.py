@@ -44,7 +44,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     several = "some for several reasons: " if sum(data["flags"].values()) > data["frames_flagged"] else ""
     flagged = f"{data['frames_flagged']} flagged ({several}{', '.join(reasons)})" if reasons else "none flagged"
     left_out = data["frames_left_out"]
-    note = f"; {left_out} left out of all tables, far from all detections" if left_out else ""
+    note = f"; {left_out} left out of all tables, because they are far from all detections" if left_out else ""
     yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{note}"
     sigma_m, distances = data["place_sigma_m"], [mean(picture.distance_m) for picture in motion.pictures]
     by_camera = [(away_m, camera_name(motion, v)) for v, away_m in enumerate(distances) if math.isfinite(away_m)]
