@@ -238,7 +238,7 @@ def run(args: argparse.Namespace, folder: Path) -> None:
     whole = ("run", FILM, *settings, "--model", args.model.absolute(), "--out", "together")
     total = tuple(sum(column) for column in zip(*taken.values(), strict=True))
     taken |= {"sum": total, "`recon run`": recon(folder, *whole), "again": recon(folder, *whole)}
-    print_header(("what", "s", "processor s", "of the sum"))
+    print_header(("stage", "s", "processor s", "fraction of the sum"))
     for name, (clock_s, processor_s) in taken.items():
         print_row((name, f"{clock_s:.1f}", f"{processor_s:.1f}", f"{processor_s / total[1]:.2f}"))
 

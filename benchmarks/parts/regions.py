@@ -111,16 +111,16 @@ def print_tail_coverage(found: Sequence[Fit]) -> None:
         gained = sum(float(by_fit[id(fit)][what][best]) for fit in own for what in fit.off)
         shares = [inside(own, what, nu) for what in KINDS for nu in (1e6, NUMBERS[best])]
         rows.append([name, f"{NUMBERS[best]:g}", f"{gained:+.2f}", *shares])
-    head = ["run left out", "nu of the others", "log likelihood relative to a Gaussian"]
+    head = ["run left out", "degrees of freedom from the remaining runs", "log likelihood relative to a Gaussian"]
     print_table([*head, *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
     of_all = {what: f"{NUMBERS[most(one, what)]:g}" for what in KINDS}
     best = NUMBERS[most(one, *KINDS)]
-    print(f"\nAll runs: {best:g}; pose alone {of_all['pose']}, position alone {of_all['position']}.\n")
+    print(f"\nDegrees of freedom from all runs: {best:g}; pose {of_all['pose']}, position {of_all['position']}.\n")
     rows = []
     for label in ("one", "two", "all"):
         some = [fit for fit in found if fit.cameras == label]
         rows.append([label, *(inside(some, w, nu) for w in KINDS for nu in (1e6, DEGREES_OF_FREEDOM))])
-    print("Inside 90 and 50 %, Gaussian and t\n")
+    print("Fractions of errors inside the 90 % and 50 % regions of a Gaussian and a t distribution\n")
     print_table(["cameras", *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
 
 

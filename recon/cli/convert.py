@@ -179,8 +179,8 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
 def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
     """Raise InputError if any of the options `names` is given, because they do not apply to the source's content."""
     options = [f"--{name}" for name in names if getattr(settings, name) is not None]
-    found = f"{content} in {source}"
-    raise_problems([Problem(option, "IN", found, f"no {option}, which they do not need") for option in options])
+    content_text = f"{content} in {source}"
+    raise_problems([Problem(option, "IN", content_text, f"no {option}, which they do not need") for option in options])
 
 
 def _pose_of(motion: Motion) -> Pose3D:
