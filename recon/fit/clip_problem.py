@@ -526,7 +526,7 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
         sigma = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * height))
     contact, plane, centre, covariance = _fit_plane(middle, slow, height, sigma, clip.fps)
     contact_of_frames = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
-    if contact.sum() < 3:  # no foot stands, so the ground is unknown
+    if contact.sum() < 3:  # too few feet stand to determine the ground
         return contact_of_frames, None, (stance,)
     # Several cameras see the height of the ground, and a plane at nominal size would bias the size. Refined cameras
     # see the height less well.

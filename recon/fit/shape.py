@@ -164,7 +164,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
 
 
 def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:
-    """Return the standard deviation (m) of each marker's keypoint bias from the marker's mean residual in every view.
+    """Estimate the standard deviation (m) of each marker's keypoint bias from its mean residual in every view.
 
     The part common to all markers of a view is removed. The expected spread counts as `_PRIOR_COUNT` views, because a
     few views are not enough to estimate it.

@@ -333,7 +333,7 @@ MEAN_OF_PEAK = float(shape(_GRID).mean())
 
 
 def _draw(gait: Gait) -> tuple[Array, Array, Array]:
-    """Return D random draws of the touch-down and lift-off, s, and the impulse, body weights s, of S stances.
+    """Return D random draws of touch-down (s), lift-off (s) and impulse (body weight times seconds) of S stances.
 
     Each array has the shape (D, S). The first draw has the central value of every distribution.
     """

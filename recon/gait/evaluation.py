@@ -469,7 +469,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
         if error_left > SMALL_ERROR * size and remaining <= MAX_REMAINING_FRACTION * error_left:
             explanation = finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers)
             error_left = remaining
-    if error_left > OTHER_CLIP_ERROR * size:  # different clips, even if a transform removes part of the error
+    if error_left > OTHER_CLIP_ERROR * size:  # the clips differ, even if a transform removes part of the error
         error_left = min(error_left, _error(_turned(pose, truth)[0], truth))
     if error_left > OTHER_CLIP_ERROR * size:
         return (finding("reference_unlike", left_mm=1000 * error_left, share=error_left / size),)

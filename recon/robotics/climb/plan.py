@@ -336,7 +336,7 @@ class Climb:
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 
     def problems(self) -> list[str]:
-        """Return one line of text for each broken rule, and so none for a valid climb."""
+        """Return one line of text for each broken rule; empty for a valid climb."""
         step, feet = self.recipe.step, self.motion.feet_m
         least = ((RULES[name], *margin_and_frame) for name, margin_and_frame in self.least.items())
         problems = [f"{rule.title}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
