@@ -261,7 +261,7 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
     return replace(motion, solution=replace(motion.solution, flags=tuple(flags)))
 
 
-# Copied coordinates
+# Detection of copied coordinates
 
 IDENTICAL_FRACTION = 0.2
 """Fraction of identical points above which they count as copies. Labels in whole pixels may be equal by chance."""
@@ -456,7 +456,7 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
         yield finding("far_side_copied", camera=camera, share=float(identical.sum() / in_both.sum()))
 
 
-# Impossible motions
+# Detection of impossible motions
 
 MIN_DURATION_S = 0.25
 """Minimum duration of a motion that is tested, seconds."""
@@ -635,7 +635,7 @@ def _along(motion: Motion) -> tuple[Array, Array]:
     return along.mean(axis=1), along[:, motion.feet]
 
 
-# Gross outliers
+# Detection of gross outliers
 
 GROSS_REASON = "in frames whose detections are gross outliers"
 """Reason, in words, why the detections of gross outlier frames were left out."""

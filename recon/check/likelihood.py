@@ -275,7 +275,7 @@ def best_seen(view: View, fps: float) -> slice:
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)
 
 
-# The picture
+# Hypotheses on the picture
 
 SMALLER_FACTORS = (2, 3, 4)
 """Factors that are tried, by which the video may be smaller than the calibrated camera's picture."""
@@ -495,7 +495,7 @@ def smaller(camera: Camera, times: float) -> Camera:
     return replace(camera, matrix=scale * camera.matrix + shift, image_size_px=size_px)
 
 
-# The lens
+# Hypotheses on the lens
 
 ZOOM_PER_S = 0.2
 """Logarithm of the zoom per second that is tried first, and the smallest zoom that is reported.
@@ -617,7 +617,7 @@ def with_calibration_at_either_end(item: Finding) -> Finding:
     return replace(item, numbers={**numbers, "position_effect_m": max(effect_m, off_m)})
 
 
-# The frame rate
+# Hypotheses on the frame rate
 
 RATE_STEP = 2**0.5
 """Ratio of successive frame rates that are tried. A parabola gives the best rate between them."""
@@ -722,7 +722,7 @@ def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
         return _rate_cost(*_at_rate(thin, thin_states, RATE_STEP**steps, correlation_frames))
 
     steps, previous_steps = 0, 1
-    while steps != previous_steps and abs(steps) < RATE_STEPS:  # search downhill
+    while steps != previous_steps and abs(steps) < RATE_STEPS:  # steps in the direction of lower cost
         candidates: list[int] = [steps, steps - 1, steps + 1]
         steps, previous_steps = min(candidates, key=cost), steps
     if abs(steps) in (0, RATE_STEPS):

@@ -71,7 +71,7 @@ def measure_poses(points: AuditedPoints) -> Iterator[Measure]:
     yield from _ranges(points)
 
 
-# Lengths
+# Checks of bone lengths and of the unit
 
 
 def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
@@ -155,7 +155,7 @@ def _unit_for(times: float) -> str:
     return min(candidates, key=lambda unit: abs(np.log10(max(times, 1e-12) / candidates[unit])))
 
 
-# The upward direction, and the animal's left
+# Checks of the upward direction and of the sides
 
 
 def _upward(points: AuditedPoints) -> Array | None:
@@ -207,7 +207,7 @@ def _left(points: AuditedPoints) -> Array | None:
     return left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12)
 
 
-# The ground and gravity
+# Checks of gravity and of feet on the ground
 
 
 def leg_length_m(points: AuditedPoints) -> float:
@@ -312,7 +312,7 @@ def _slide(points: AuditedPoints) -> Iterator[Measure]:
     yield Measure("feet_slide", float(max(backwards, forwards)), None, numbers)
 
 
-# Joints
+# Check of joint angles
 
 
 def _ranges(points: AuditedPoints) -> Iterator[Measure]:

@@ -101,7 +101,7 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
     return sort_findings(findings)
 
 
-# Both methods
+# Rules for both methods
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
@@ -262,7 +262,7 @@ def frames_flagged(motion: Motion) -> Iterator[Finding]:
         yield finding("frames_flagged", count=count, frames_total=len(flags), flag=commonest, meaning=FLAGS[commonest])
 
 
-# The trajectory method
+# Rules for the trajectory method only
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:

@@ -358,7 +358,7 @@ def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
     return np.asarray((1 - outliers) * density + outliers / OUTLIER_RANGE, dtype=float)
 
 
-# Left and right
+# Check for swapped sides
 
 
 def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
@@ -417,7 +417,7 @@ def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
     return parts
 
 
-# The picture
+# Checks of 2D keypoints only
 
 
 def _normalised(points: AuditedPoints) -> Iterator[Measure]:

@@ -254,7 +254,7 @@ def write_bvh(rig: Armature, path: Path) -> None:
 
 
 def _numbers(values: Array | Sequence[float]) -> str:
-    return " ".join(map(repr, (np.asarray(values) + 0).tolist()))  # -0 becomes 0
+    return " ".join(map(repr, (np.asarray(values) + 0).tolist()))  # adding 0 turns -0 into 0
 
 
 OPENSIM, OPENSIM_VERSION = "OpenSim model", "40000"

@@ -372,7 +372,7 @@ def number(text: str) -> float:
 def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     """Return cells (N,) as floats, NaN for `MISSING`, and the indices of cells that are infinite or not numbers."""
     cells = list(cells)
-    with suppress(ValueError, TypeError):  # usually all cells are numbers, and this is faster
+    with suppress(ValueError, TypeError):  # fast conversion, if all cells are numbers
         joined = "".join(cells)  # type: ignore[arg-type]
         if not joined:  # nothing was detected, as in most frames of a long recording
             return np.full(len(cells), np.nan), []
