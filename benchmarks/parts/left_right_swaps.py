@@ -415,7 +415,7 @@ def print_folds(table: pd.DataFrame) -> None:
     `WORSE`. It is multiplied by `SPARE`. The last row is for all runs.
     """
     head = ["left out", "margin", "named wrongly", "with exchanges", "worst corrected / not", "ten frames", "fore legs"]
-    print_header([*head, "hind legs", "whole clip", "any of these"])
+    print_header([*head, "hind legs", "whole clip", "right or unclear"])
     for run in [*table["run"].unique(), "none"]:
         rest = table[table["run"] != run]
         wrong = rest.groupby(["margin", "run"])["wrong"].mean().groupby("margin").max()
