@@ -209,7 +209,7 @@ def _checked_track(
             ),
             (
                 "tx, ty, tz",
-                "a value that is too large",
+                "a translation that is too long",
                 f"metres, at most {MAX_METRES:g} m",
                 ~(np.abs(translation) > MAX_METRES).any(axis=1),
             ),

@@ -256,7 +256,7 @@ def test_every_problem_is_named(tmp_path: Path):
 def test_too_few_markers_are_refused(tmp_path: Path):
     kept = EXAMPLE.split("[[markers]]")
     found = problems(in_file(tmp_path, "[[markers]]".join(kept[:4]) + "\n[limbs]\n"))
-    assert found["markers"][0] == "3"
+    assert found["markers"][0] == "3 markers"
     assert says(found["markers"][1], "at least 5")
 
 
