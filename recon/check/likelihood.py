@@ -268,7 +268,10 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
 
 
 def best_seen(view: View, fps: float) -> slice:
-    """Return the slice of the `TESTED_S` seconds with the most detections, without empty frames at either end."""
+    """Return the slice of frames of the `TESTED_S` seconds with the most detections.
+
+    Empty frames at either end of these seconds are left out.
+    """
     counts = view.present.sum(axis=1)
     part = densest_window(counts, round(TESTED_S * fps))
     seen = part.start + np.flatnonzero(counts[part])
@@ -605,9 +608,10 @@ def zoom_of(nearer: float, farther: float) -> float:
 
 
 def with_calibration_at_either_end(item: Finding) -> Finding:
-    """Return a finding on a zoom, whose effect on positions allows for a calibration at either end of the clip.
+    """Return a finding on a zoom, with its effect on positions if the calibration applies to one end of the clip.
 
-    The test itself assumes that the calibrated focal length holds in the middle of the second that was tested.
+    The effect is not decreased. The test assumes that the calibrated focal length applies to the middle of the tested
+    second.
     """
     numbers = item.numbers
     zoom, distance_m, effect_m = (numbers.get(name) for name in ("zoom", "distance_m", "position_effect_m"))

@@ -351,7 +351,7 @@ def verdict_fields(motion: Motion) -> dict[str, Any] | None:
 
 
 def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
-    """Return the lines of text that state a verdict; empty for a motion without a verdict."""
+    """Return the lines that state a verdict; empty for a motion without a verdict."""
     return () if verdict is None else verdict.lines
 
 

@@ -196,7 +196,7 @@ def _fill(sheet: object, front: list[list[str]], table: pd.DataFrame) -> None:
 
 
 def _cell(value: object) -> object:
-    """Return a value for a cell as a plain number or text, without formulas or NaN."""
+    """Return a value for a cell as a plain number or string, without formulas or NaN."""
     if isinstance(value, str):
         return guarded(encodable(re.sub(r"[\x00-\x08\x0b\x0c\x0e-\x1f]", " ", value)))
     if isinstance(value, bool | np.bool_):
