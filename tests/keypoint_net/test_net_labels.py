@@ -107,7 +107,7 @@ def test_folders_with_different_keypoints_are_refused(tmp_path):
     [
         ("", ("file", "empty")),
         ("a,b\n1,2\n", ("format", "another kind", "DeepLabCut's")),
-        ("scorer,me,me\nbodyparts,nose,nose\ncoords,x,y\nimg0.png,,\n", ("labels", "none")),
+        ("scorer,me,me\nbodyparts,nose,nose\ncoords,x,y\nimg0.png,,\n", ("labels", "empty cells")),
         ("scorer,me,me\nbodyparts,nose,nose\ncoords,x,y\n", ("points", "no frames")),
     ],
 )
