@@ -374,7 +374,7 @@ NETWORK, LABELS = ["--model", "{model}"], ["--labels", "{clip}/labels.csv"]
     ("args", "expected"),
     [
         (["predict", "{clip}/labels.csv", "--out", "p.csv", *NETWORK], ("labels.csv", "video", "cannot be decoded")),
-        ([*PREDICT, "--model", "{clip}"], ("--model", "file", "no such file", "recon train")),
+        ([*PREDICT, "--model", "{clip}"], ("--model", "file", "no file ", "recon train")),
         ([*PREDICT, "--model", "{clip}/labels.csv"], ("labels.csv", "model", "torch cannot read", "recon train")),
         ([*PREDICT[:2], *NETWORK, "--out", "p.txt"], ("--out", "file", "'p.txt'", "ends in .csv or .h5")),
         ([*PREDICT, *NETWORK, "--device", "tpu"], ("--device", "device", "'tpu'", "one of: auto")),
