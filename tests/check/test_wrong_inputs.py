@@ -361,5 +361,5 @@ def test_feet_stand_still_relative_to_the_belt(slower):
     assert not [*movement(on_belt)]
     assert on_belt.solution.joints_m == pytest.approx(plain().joints_m, abs=0.2)
     assert on_belt.pictures[0].reprojected_px == pytest.approx(motion.pictures[0].reprojected_px, abs=1e-6)
-    with pytest.raises(InputError, match="the fit had 2 m/s"):
+    with pytest.raises(InputError, match="the fit already used 2 m/s"):
         over_belt(replace(motion, settings={"belt_speed_m_s": 2.0}), 3.0)

@@ -373,7 +373,7 @@ def test_draft_from_a_calibration_in_millimetres(tmp_path):
     [
         (0.0, True, 0.0, ("motion", ["1.5 m", "0 mm", "2 rigid bodies"], ["half its length", "two rigid bodies"])),
         (2.0, False, 0.0, ("motion", ["1.5 m", "2.0 m", "1 rigid body"], ["half its length", "two rigid bodies"])),
-        (2.0, True, 0.03, ("keypoints", ["32.6 mm", "1.5 m"], "1 % or less")),
+        (2.0, True, 0.03, ("keypoints", ["32.6 mm", "1.5 m"], "1 % of its length or less")),
     ],
 )
 def test_motion_that_does_not_show_joints_gives_no_draft(path_m, bends, noise_m, expected):

@@ -68,7 +68,7 @@ def test_the_belt_speed_is_given_once_and_named_in_the_verdict(fitted):
     found = over_belt(replace(treadmill, findings=findings, verdict=verdict), 3.0)
     assert found.findings == ()
     assert (found.verdict.level, found.verdict.reason) == ("check", BELT_GIVEN)
-    with pytest.raises(InputError, match="the fit had 2 m/s"):
+    with pytest.raises(InputError, match="the fit already used 2 m/s"):
         over_belt(replace(treadmill, settings={"belt_speed_m_s": 2.0}), 3.0)
 
 
