@@ -13,7 +13,7 @@ EVALUATIONS = 3
 def narrow_networks(patch: pytest.MonkeyPatch) -> None:
     """Make new networks narrow, but as deep as usual, evaluated three times per run, and repeatable.
 
-    The networks' points are noise, so fits do not test whether another picture explains them better.
+    The points of such networks are noise, so the check for a video of another size, or a mirrored one, is switched off.
     """
     from recon.keypoint_net import network, train
 

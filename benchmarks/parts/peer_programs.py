@@ -1,8 +1,8 @@
-"""Triangulate keypoints by aniposelib and Pose2Sim, in an environment of their own.
+"""Triangulate keypoints with aniposelib and Pose2Sim, in a separate environment.
 
     build/peers/bin/python benchmarks/parts/peer_programs.py FOLDER [aniposelib] [pose2sim]
 
-`peer_runs.py` makes the environment and runs this script with its Python, so nothing of recon is imported here. Each
+`peer_runs.py` creates the environment and runs this script with its Python, so nothing of recon is imported here. Each
 in_NUMBER.npz in FOLDER has pixels without lens distortion (C, T, K, 2), the cameras' focal lengths (C,) and poses as
 rotation vectors and translations (C, 3), the frame rate, pairs of keypoints with a constant distance (N, 2), and
 recon's triangulation: positions (T, K, 3), and a mask (C, T, K) of the detections that were used. out_NUMBER.npz gets

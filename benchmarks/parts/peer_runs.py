@@ -42,7 +42,7 @@ PINNED_ALONE = ("pose2sim==0.10.49",)
 PROGRAMS = "aniposelib", "pose2sim"
 
 Result = tuple[np.ndarray, float, str]
-"""Positions (T, J, 3), metres, processor time, seconds, and recon's verdict (empty for the other programs)."""
+"""Positions (T, J, 3) in metres, processor time in seconds, and recon's verdict (empty for the other programs)."""
 
 
 @dataclass(frozen=True, eq=False)

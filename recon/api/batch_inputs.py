@@ -187,7 +187,9 @@ def _drafts_of(text: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
         return [_draft_of(file) for file in files], notes
     files = _matching_files(path)
     if not files:
-        raise InputError(Problem(text, "files", "no files that match", "a pattern such as 'clips/*.csv'"))
+        raise InputError(
+            Problem(text, "files", "no files that match", "at least one file: check the folder and the suffix")
+        )
     if files == [path]:
         read_head(path)  # so that a misspelt name ends the batch before it begins
     drafts_by_file = (
@@ -675,7 +677,11 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
 
 
 def file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
-    """Return a unique name for each file: with its suffix, or with as many parent folders as necessary."""
+    """Return a unique name for each file, which is its stem where no other file has the same one.
+
+    Files of one folder with the same stem get their suffix, and files of several folders as many parent folders as
+    necessary.
+    """
     siblings = Counter((path.parent, path.stem.casefold()) for path in paths)
     has_twin = (siblings[path.parent, path.stem.casefold()] > 1 for path in paths)
     stems = {p: f"{p.stem}-{p.suffix[1:]}" if twin else p.stem for p, twin in zip(paths, has_twin, strict=True)}

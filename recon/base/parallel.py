@@ -363,7 +363,7 @@ def _outcome(future: Future) -> dict[str, Any]:
 
 
 def _lost(reason: str) -> InputError:
-    expected = "workers until the end: run the same command again to continue from here"
+    expected = "workers that run until the end: run the same command again to continue from here"
     return InputError(Problem("recon batch", "workers", reason, expected))
 
 

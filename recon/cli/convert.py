@@ -42,8 +42,9 @@ class ConvertSettings(Settings):
     """
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     columns: str | None = None
-    """Columns of a plain CSV, such as 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per frame
-    'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: by their names)
+    """Columns of a plain CSV, such as 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or, if the
+    table has one row per frame, 'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: columns are recognised by their
+    names)
     """
     unit: str | None = None
     """Unit of 3D positions, if the file does not state it: m, cm or mm."""

@@ -67,7 +67,7 @@ _WITHOUT_CAMERA = ("individual", "rename", "fps", "skeleton", "subject", "detect
 
 
 def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: Container[str]) -> Iterable[Problem]:
-    """Return the problems with a fit's files, found without the settings `wrong`, whose values are invalid."""
+    """Return the problems with a fit's files, ignoring the settings named in `wrong`, whose values are invalid."""
     from recon.api.clip_inputs import prepare, read_clips, read_model
     from recon.io.formats import read_keypoints
 

@@ -250,7 +250,8 @@ def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options
 def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ...]:
     """Return the strides whose two touch-downs and stance are all in the clip.
 
-    For a foot without two touch-downs, strides last from one lift-off to the next.
+    For a foot without two touch-downs, strides last from one lift-off to the next. Strides with a gap in the foot's
+    track, or with all feet in stance for half of the time or longer, are left out.
     """
     result, all_stand = [], _all_stand(tracks, all_stances)
     for foot in tracks.feet:

@@ -248,7 +248,9 @@ def _sleap_array(path: Path, dataset: h5py.Dataset, name: str) -> np.ndarray:
     values = numbers(dataset)
     if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
         detail = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
-        expected = f"numbers with the axes {', '.join(SLEAP_AXES[name])}, or in the order that dims states"
+        expected = (
+            f"an array with the axes {', '.join(SLEAP_AXES[name])}, in this order or in that of its attribute dims"
+        )
         raise InputError(Problem(path, name, detail, expected))
     return values.transpose([order.index(axis) for axis in wanted])
 

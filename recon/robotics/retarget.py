@@ -483,7 +483,9 @@ def retarget(
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """Transfer a clip and one of its strides to a robot, and return both motions and the hind feet's spread, metres.
+    """Transfer a clip and one of its strides to a robot, and return both motions and the hind feet's shift.
+
+    The shift is the distance of each hind foot outside its neutral position, m.
 
     `scale` and `slower` are as in `retarget`.
     """

@@ -450,7 +450,9 @@ class RobotSamples:
         duration = float(motion.time_s[-1] - motion.time_s[0])
         frames = round(duration * rate_hz)
         if frames < 1:
-            expected = f"at least {1 / duration:.1f} frames per second, so that {duration:.2f} s have two frames"
+            expected = (
+                f"at least {1 / duration:.1f} frames per second, so that the motion of {duration:.2f} s has two frames"
+            )
             raise InputError(Problem(option, "frame rate", f"{rate_hz:g} frames per second", expected))
         self.robot, self.loops, self.rate_hz = motion.robot, motion.advance_m is not None, frames / duration
         self.time_s = np.linspace(0.0, duration, frames + 1)

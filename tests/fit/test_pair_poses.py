@@ -123,7 +123,7 @@ def test_prior_mean_moves_the_minimum_to_the_expected_poses():
     minimum = np.asarray(-np.linalg.solve(S, gradient + prior_pull), dtype=float)
     assert np.abs(weighed.poses.expected).max() > 1e-3
     np.testing.assert_allclose(minimum[1:], weighed.poses.expected, rtol=1e-8, atol=1e-12)
-    # The result is the same if the fit starts there with this prior mean.
+    # A fit that starts at this minimum, with the weighted prior mean, gives the same result.
     means = {unknown.name: unknown.mean for unknown in problem.shared}
     means |= {extrinsic_correction(i): weighed.prior_mean[6 * i : 6 * i + 6] for i in range(2)}
     shared = [replace(unknown, mean=means[unknown.name]) for unknown in problem.shared]

@@ -230,7 +230,7 @@ def test_fit_recovers_gamma_max(chain):
     assert found.note == ""
     again = [found.method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]
     np.testing.assert_allclose(again, dq, atol=1e-3)
-    # Without damping, the rates equal least norm for any gamma_max.
+    # Without damping, the rates equal the least-norm rates for any gamma_max.
     found = fits()["selectively-damped"](Frames.without_gaps(chain, q, dx, least))
     assert found.explained > 1 - 1e-12
     assert "no value between this one and" in found.note

@@ -161,4 +161,4 @@ def test_pasting_puts_the_animal_on_its_own_background():
     x, y = xy[np.isfinite(xy).all(axis=1)].mean(axis=0).round().astype(int)
     assert picture[y, x].max() < 40  # the animal
     away = np.abs(picture.astype(int) - background).max(axis=2) > 3
-    assert 0.5 * 300 < away.sum() < 2 * 300  # and the new background around it, unchanged
+    assert 0.5 * 300 < away.sum() < 2 * 300  # the new background around the animal is unchanged

@@ -168,7 +168,7 @@ def test_no_file_of_the_user_is_replaced(clip, whole, quick, tmp_path):
 
 @pytest.mark.slow
 def test_the_message_after_ctrl_c_says_how_to_continue(clip, tmp_path, monkeypatch):
-    # The checkpoint can then be continued or replaced.
+    # Training can then continue from the checkpoint, or start again and replace it.
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 

@@ -68,7 +68,8 @@ def test_signs_of_the_a1_agree_with_unitree():
 
 
 def test_signs_of_the_aibo_agree_with_sony():
-    # A positive rotator swings forwards, a positive elevator outwards, and a positive knee bends the leg.
+    # A positive rotator angle swings the leg forwards, a positive elevator angle outwards, and a positive knee angle
+    # bends it.
     robot = load_robot("aibo")
     for label, leg in robot.legs.items():
         (home,) = leg.angles(leg.neutral_m[None])
