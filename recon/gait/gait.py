@@ -461,7 +461,8 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
     measured += f"; leading: {leads[0]} hind, {leads[1]} fore"
     if duty_factor > 0.5:
-        return "unknown", f"{measured}; but the feet stand for {percent(duty_factor)} of the stride, as in no gallop"
+        measured += f"; but the feet are in stance for {percent(duty_factor)} of the stride, longer than in a gallop"
+        return "unknown", measured
     return f"{'transverse' if leads[0] == leads[1] else 'rotary'} gallop", measured
 
 

@@ -317,7 +317,7 @@ def test_an_animal_that_stands_has_no_gait():
         ({"LH": 0.0, "RH": 0.5, "LF": 0.5, "RF": 0.7}, 0.4, "one pair alternates"),
         ({"LH": 0.0, "RH": 0.2, "LF": 0.5, "RF": 0.5}, 0.4, "fore pair lands together"),
         ({"LH": 0.0, "RH": 0.2, "LF": np.nan, "RF": 0.5}, 0.4, "no steady phase of LF"),
-        ({"LH": 0.0, "RH": 0.63, "LF": 0.14, "RF": 0.83}, 0.73, "stand for 73 % of the stride"),
+        ({"LH": 0.0, "RH": 0.63, "LF": 0.14, "RF": 0.83}, 0.73, "in stance for 73 % of the stride, longer"),
     ],
 )
 def test_phases_without_a_name(phase, duty, why):
