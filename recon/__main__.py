@@ -65,13 +65,16 @@ def _require_memory() -> None:
 
 
 def _flush() -> None:
-    """Flush standard output, so that recon and not Python reports a failure."""
+    """Flush standard output, so that recon and not Python reports a failure, and reports it once."""
+    ending = sys.exc_info()[1]
     try:
         sys.stdout.flush()
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             sys.exit(1)  # the reader has closed the pipe
+        if isinstance(ending, SystemExit) and ending.code:
+            return  # the command has reported its failure; some versions of Python keep what could not be written
         print(f"error: standard output: {error.strerror}", file=sys.stderr)
         sys.exit(2)
 
