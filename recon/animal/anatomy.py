@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Literal
 
-from recon.animal.body import Side, other_side, side_of
+from recon.animal.body import SIDE_WORD, Side, other_side, side_of
 from recon.base.errors import Problem
 
 FLEXES_CAUDALLY: Mapping[str, int] = {
@@ -31,6 +33,11 @@ GIRDLE: Mapping[str, Literal["F", "H"] | None] = {
     **dict.fromkeys(("spine", "neck")),
 }
 """Limb of each anatomical joint, F for fore and H for hind; None for joints of the trunk."""
+COMMON_NAMES: Mapping[str, str] = {"ankle": "hock", "knee": "stifle", "tarsus": "hock", "wrist": "carpus"}
+"""Other names of joints, each with the name in `FLEXES_CAUDALLY`.
+
+They are only suggested, because a name may mean two joints: the knee of a horse's fore limb is the carpus.
+"""
 
 
 def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str, tuple[str, str, str]]:
@@ -54,6 +61,40 @@ def joint_and_side(name: str) -> tuple[str, Side | None]:
     if side == "left" or side == "right":
         return joint, side
     return name, None
+
+
+def joints_named(name: str, joints: Sequence[str]) -> tuple[str, ...]:
+    """Return those of an animal's anatomical joints that a name denotes, empty for an unknown name.
+
+    A name without a side denotes the joints of both sides. Any case, spaces instead of underscores, and "flexion" at
+    the end are accepted, as in "left elbow flexion".
+    """
+    plain = "_".join(_words(name)).removesuffix("_flexion")
+    return tuple(joint for joint in joints if plain in (joint, joint_and_side(joint)[0]))
+
+
+def suggested_joint(name: str, anatomy: Mapping[str, tuple[str, str, str]]) -> str | None:
+    """Return the anatomical joint that an unknown name probably means, or None.
+
+    The joint has the marker `name` at its middle, has `name` as a common name (`COMMON_NAMES`), or has a similar name.
+    """
+    side, words = side_of(name), _words(SIDE_WORD.sub("", name))
+    names = [*dict.fromkeys(joint_and_side(joint)[0] for joint in anatomy)]
+    at_marker = (
+        joint_and_side(joint)[0]
+        for joint, (_, middle, _) in anatomy.items()
+        if words == _words(SIDE_WORD.sub("", middle))
+    )
+    joint = next(at_marker, None)
+    for word in words:
+        joint = joint or COMMON_NAMES.get(word) or next(iter(get_close_matches(word, names, 1, 0.75)), None)
+    if joint not in names:
+        return None
+    return f"{side}_{joint}" if f"{side}_{joint}" in anatomy else joint
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[^\s_-]+", name.lower())
 
 
 def anatomy_problems(table: Mapping[str, tuple[str, str, str]], source: str) -> Iterator[Problem]:

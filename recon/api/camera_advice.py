@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,9 +11,11 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from recon.animal.anatomy import joint_and_side, joints_named, suggested_joint
+from recon.animal.body import Body
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
-from recon.base.errors import Problem, raise_problems
+from recon.base.errors import InputError, Problem
 from recon.base.numbers import percent, quantity
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
@@ -85,7 +88,9 @@ class CameraAdviceSettings(Settings):
     prior: str | None = None
     """Motion prior: a built-in name, a file, or none. (default: as for a fit)"""
     angle: str | None = None
-    """The angle to measure, such as front_trunk_yaw."""
+    """The angle to measure: the flexion of a joint, such as elbow (both sides) or left_elbow, or an angle of the
+    skeleton, such as front_trunk_yaw.
+    """
     joint: str | None = None
     """The joint to measure. (default: all)"""
     cameras: Annotated[Integer, Field(ge=1, le=2)] = 1
@@ -114,18 +119,12 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
         If settings cannot be used.
     """
     body = load_skeleton(settings.skeleton, settings.subject)
-    targets = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
-    raise_problems(
-        Problem(f"--{option}", "value", repr(name), f"one of {', '.join(names)}")
-        for option, (name, names) in targets.items()
-        if name is not None and name not in names
-    )
+    target = _target(settings, body)
     motions = load_prior(settings.prior, body)
     output = Output(settings.out, "camera-advice", settings.overwrite, input_paths(settings), content="advice")
     output.require((REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"))
     setup = picked(settings, "hfov_deg", "distance_m", "cameras")
-    wanted = settings.angle or settings.joint
-    advice_by_camera = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
+    advice_by_camera = advise(body, motions, target, **setup, progress=lambda share: progress("cameras", share))
     tables = [_position_table(number, advice) for number, advice in enumerate(advice_by_camera, start=1)]
     table = pd.concat(tables)
     best = [advice.best[0] * len(AZIMUTHS_RAD) + advice.best[1] for advice in advice_by_camera]
@@ -148,6 +147,42 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
         write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
         save(advice_figure(advice_by_camera), staging, FIGURE)
     return report
+
+
+def _target(settings: CameraAdviceSettings, body: Body) -> str | tuple[str, ...] | None:
+    """Return the target of `advise` that --angle or --joint names: the flexion of joints, an angle, or a marker."""
+    angle, marker, joints = settings.angle, settings.joint, [*body.anatomy]
+    if angle is not None and angle not in body.state_names[4:]:
+        if named := joints_named(angle, joints):
+            return named
+        near = suggested_joint(angle, body.anatomy) or _similar(angle, body.state_names[4:])
+        raise InputError(Problem("--angle", "value", repr(angle), _instead(near, _angles_text(body))))
+    if marker is not None and marker not in body.markers:
+        near = " or ".join(body.anatomy[joint][1] for joint in joints_named(marker, joints))
+        all_names = f"one of {', '.join(body.markers)}"
+        raise InputError(
+            Problem("--joint", "value", repr(marker), _instead(near or _similar(marker, body.markers), all_names))
+        )
+    return angle or marker
+
+
+def _angles_text(body: Body) -> str:
+    """Return a list of the names that --angle accepts."""
+    angles = f"one of {', '.join(body.state_names[4:])}"
+    if not body.anatomy:
+        return angles
+    joints = [joint_and_side(name) for name in body.anatomy]
+    one_side = "; with left_ or right_ before the name, of one side" if any(side for _, side in joints) else ""
+    names = ", ".join(dict.fromkeys(joint for joint, _ in joints))
+    return f"one of {names} (flexion of the joint{one_side}), or an angle of the skeleton, {angles}"
+
+
+def _instead(near: str | None, all_names: str) -> str:
+    return f"perhaps {near}, or {all_names}" if near else all_names
+
+
+def _similar(name: str, names: Sequence[str]) -> str | None:
+    return next(iter(get_close_matches(name, names, 1)), None)
 
 
 def _position_table(number: int, advice: Advice) -> pd.DataFrame:

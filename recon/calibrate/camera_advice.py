@@ -22,6 +22,7 @@ from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.least_squares import Estimate
 from recon.fit.posterior import posterior
+from recon.gait.flexion import MODEL_RAD, flexion_variance
 from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
@@ -52,7 +53,7 @@ class Advice:
     """Precision with which a camera measures a target from each of E elevations and A azimuths."""
 
     target: str
-    """Angle or joint to measure."""
+    """Angle or joint to measure, such as front_trunk_yaw or the flexion of the left elbow."""
     unit: str
     """"rad" for an angle, "m" for joints."""
     distance_m: float
@@ -82,7 +83,7 @@ class Advice:
 def advise(
     body: Body,
     prior: MotionPrior,
-    target: str | None = None,
+    target: str | tuple[str, ...] | None = None,
     hfov_deg: float = 60.0,
     distance_m: float | None = None,
     cameras: int = 1,
@@ -96,8 +97,9 @@ def advise(
     ----------
     body, prior : Body, MotionPrior
         The animal, and the prior of its motion.
-    target : str, optional
-        An angle of the body's states (not its position or heading), or a marker; by default all markers.
+    target : str or tuple of str, optional
+        An angle of the body's states (not its position or heading), a marker, or a tuple of the names of anatomical
+        joints whose flexion is measured, such as ("left_elbow", "right_elbow"); by default all markers.
     hfov_deg : float
         Horizontal field of view, degrees.
     distance_m : float, optional
@@ -128,18 +130,32 @@ def advise(
             with one_thread():
                 grid[row, column] = precision_of(body, prior, states, [*fixed_cameras, candidate], target)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
-        unit = "rad" if target in body.state_names[4:] else "m"
-        advices.append(Advice(target or "all joints", unit, distance, grid[..., 0], grid[..., 1], first_position))
+        unit = "rad" if isinstance(target, tuple) or target in body.state_names[4:] else "m"
+        advices.append(Advice(target_text(target), unit, distance, grid[..., 0], grid[..., 1], first_position))
     return advices
 
 
+def target_text(target: str | tuple[str, ...] | None) -> str:
+    """Return the words for a target of `advise`, such as "the flexion of the left elbow and the right elbow"."""
+    if isinstance(target, tuple):
+        return "the flexion of " + " and ".join(f"the {joint.replace('_', ' ')}" for joint in target)
+    return target or "all joints"
+
+
 def precision_of(
-    body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], target: str | None = None
+    body: Body,
+    prior: MotionPrior,
+    states: Array,
+    cameras: Sequence[Camera],
+    target: str | tuple[str, ...] | None = None,
 ) -> tuple[float, float]:
     """Return a target's standard deviation and the fraction of its precision due to pixels, medians over frames.
 
     The standard deviation is in rad for an angle, and in m for a joint relative to the rest of the pose. The cameras
     see the motion of states (T, D). The result is (inf, 0) if no camera sees the animal. `target` is as in `advise`.
+
+    The standard deviation of a flexion includes `MODEL_RAD`, as in the tables of the analysis. For several joints it is
+    the root mean square of theirs.
     """
     views = [_view_of(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
@@ -152,6 +168,13 @@ def precision_of(
     problem = clip.problem(noise_px, temperature=1.0, around_m=around_m)
     estimate = Estimate(at_origin, 0.0, 0, True, problem.expected())
     result = posterior(problem, body, estimate, max(constants.ERROR_TIME_S * FPS, 1.0))
+    if isinstance(target, tuple):
+        rows = [[*body.anatomy].index(joint) for joint in target]
+        variance, prior_variance = (
+            flexion_variance(body, states, np.sqrt(angles))[rows].mean(axis=0) for angles in result.angle_variance
+        )
+        fraction = np.clip(1.0 - variance / prior_variance, 0.0, 1.0)
+        return float(np.median(np.sqrt(variance + MODEL_RAD**2))), float(np.median(fraction))
     if target in body.state_names[4:]:
         column = body.state_names[3:].index(target)
         sigma, fraction = np.sqrt(result.angle_variance[0][:, column]), result.angle_data_share[:, column]

@@ -136,15 +136,15 @@ def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
     for rows in np.array_split(posed, -(-len(posed) // _ROWS_AT_ONCE)):
         states, angle_sigma = motion.states[rows], motion.solution.angle_sigma_rad[rows]
         angle[:, rows] = flexion_rad(body, states, motion.size)
-        sigma[:, rows] = np.sqrt(_variance(body, states, motion.size, angle_sigma) + MODEL_RAD**2)
+        sigma[:, rows] = np.sqrt(flexion_variance(body, states, angle_sigma, motion.size) + MODEL_RAD**2)
     joints = map(joint_and_side, body.anatomy)
     return tuple(JointFlexion(joint, side or motion.side, angle[i], sigma[i]) for i, (joint, side) in enumerate(joints))
 
 
-def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Array:
-    """Return the variance of the flexions due to independent errors of the fit's angles, shape (A, T), rad^2.
+def flexion_variance(body: Body, states: Array, angle_sigma: Array, size: float = 1.0) -> Array:
+    """Return the variance of the A flexions due to independent errors of the fit's angles, shape (A, T), rad^2.
 
-    `angle_sigma` are the standard deviations of the fit's angles, shape (T, D - 3), rad.
+    `angle_sigma` are the standard deviations of the fit's angles, shape (T, D - 3), rad. `MODEL_RAD` is not included.
     """
     variance = np.zeros((len(body.anatomy), len(states)))
     every_few, columns = states[:: -(-len(states) // 3)], np.arange(3, states.shape[1])

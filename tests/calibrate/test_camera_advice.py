@@ -9,14 +9,17 @@ import pandas as pd
 import pytest
 from command_line import refused, run, says
 
+from recon.animal.anatomy import joints_named, suggested_joint
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.camera_advice import direction_text
 from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, camera_at, length_m, mean_stride, precision_of
 from recon.fit.clip_problem import TrajectoryOptions
+from recon.gait.flexion import MODEL_RAD
 from recon.geometry.camera import Camera
 
 BODY = load_skeleton("cheetah-8u")
+WHOLE = load_skeleton("cheetah-24")
 PRIOR = prior_from_body(BODY)
 STATES = mean_stride(BODY, PRIOR)
 LENS = Camera.from_hfov(60.0, (1920, 1080))
@@ -92,6 +95,46 @@ def test_best_position_has_the_least_sigma_and_a_second_camera_lowers_it(monkeyp
     assert one.distance_m == pytest.approx(4 * length_m(BODY))
 
 
+def test_the_precision_of_a_flexion_is_that_of_the_analysis():
+    """The elbow of this chain is a hinge with the angle theta_3, and `MODEL_RAD` allows for the real elbow."""
+    angle, fraction_of_angle = seen_from(SIDE, target="theta_3")
+    sigma, fraction = seen_from(SIDE, target=("elbow",))
+    assert sigma == pytest.approx(np.hypot(angle, MODEL_RAD), rel=1e-6)
+    assert fraction == pytest.approx(fraction_of_angle, rel=1e-6)
+    both = seen_from(SIDE, target=("elbow", "stifle"))[0]
+    stifle = seen_from(SIDE, target=("stifle",))[0]
+    assert min(sigma, stifle) < both < max(sigma, stifle)
+
+
+@pytest.mark.parametrize(
+    ("given", "joints"),
+    [
+        ("elbow", ("left_elbow", "right_elbow")),
+        ("Left elbow flexion", ("left_elbow",)),
+        ("right-hock", ("right_hock",)),
+        ("spine_flexion", ("spine",)),
+        ("knee", ()),
+    ],
+)
+def test_joints_are_named_as_in_the_analysis(given, joints):
+    assert joints_named(given, [*WHOLE.anatomy]) == joints
+
+
+@pytest.mark.parametrize(
+    ("given", "suggestion"),
+    [
+        ("left_knee", "left_stifle"),
+        ("r_wrist", "right_carpus"),
+        ("elbo", "elbow"),
+        ("l_front_knee", "left_elbow"),  # the marker at the elbow
+        ("front_knee", "elbow"),
+        ("tail", None),
+    ],
+)
+def test_a_joint_is_suggested_for_another_name(given, suggestion):
+    assert suggested_joint(given, WHOLE.anatomy) == suggestion
+
+
 def test_directions_are_put_into_words():
     assert direction_text(0.0, 0.1) == "ahead of the animal, level with its middle (0°)"
     assert direction_text(np.radians(270), 0.5) == "on the animal's right side, raised (270°)"
@@ -127,6 +170,12 @@ def test_every_problem_is_reported(tmp_path):
         ("--hfov-deg", "hfov_deg", "'0'", "greater than 0"),
         ("--distance-m", "distance_m", "'-1'", "greater than 0"),
     )
-    refused([*given, "--angle", "theta_9"], ("--angle", "value", "'theta_9'", "one of J0_pitch"))
+    refused(
+        [*given, "--angle", "theta_9"],
+        ("--angle", "value", "'theta_9'", "one of elbow, carpus", "angle of the skeleton, one of J0_pitch"),
+    )
+    refused([*given, "--angle", "knee"], ("--angle", "value", "'knee'", "perhaps stifle"))
+    refused([*given, "--angle", "J0_ptch"], ("--angle", "value", "'J0_ptch'", "perhaps J0_pitch"))
+    refused([*given, "--joint", "elbow"], ("--joint", "value", "'elbow'", f"perhaps {BODY.anatomy['elbow'][1]}"))
     refused([*given, "--angle", "theta_6", "--joint", "J1"], ("--angle", "value", "--joint", "only one of the two"))
     assert not (tmp_path / "a").exists()
