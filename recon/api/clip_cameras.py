@@ -24,8 +24,10 @@ ClipCamera = tuple[Camera, "CameraTrack | None"]
 Cameras = tuple[ClipCamera, ...]
 
 
-def read_clip_cameras(settings: FitSettings) -> Cameras:
+def read_clip_cameras(settings: FitSettings, up_option: str = "--set up") -> Cameras:
     """Return the camera of each keypoint file, and its track if it moves.
+
+    `up_option` is the command's option for `settings.up`, which errors name.
 
     Raises
     ------
@@ -46,7 +48,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
         from recon.api import rigs
 
         raise_problems(rigs.focal_problems(chosen))
-        chosen = chosen if settings.up is None else rigs.cameras_with_z_up(chosen, settings.up)
+        chosen = chosen if settings.up is None else rigs.cameras_with_z_up(chosen, settings.up, up_option)
     if settings.tilt_deg is None:
         return chosen
     if any(camera.knows_up for camera, _ in chosen):

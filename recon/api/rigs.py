@@ -137,8 +137,11 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
 
 
-def cameras_with_z_up(cameras: _Cameras, up: str) -> _Cameras:
-    """Return cameras turned into a world with z up, given the upward direction in their present world."""
+def cameras_with_z_up(cameras: _Cameras, up: str, option: str) -> _Cameras:
+    """Return cameras turned into a world with z up, given the upward direction in their present world.
+
+    `option` is the command's option for the upward direction, which errors name.
+    """
     if up == FIRST_CAMERA:
         return cameras
     sign, axis = (-1.0, up[1:]) if up[:1] == "-" and up[1:] in AXES else (1.0, up)
@@ -150,19 +153,19 @@ def cameras_with_z_up(cameras: _Cameras, up: str) -> _Cameras:
         direction = values if len(cells) == 3 and not wrong and np.isfinite(values).all() else np.zeros(3)
     if not np.linalg.norm(direction) > 0:
         expected = f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0"
-        raise InputError(Problem("--set up", "direction", repr(up), expected))
+        raise InputError(Problem(option, "direction", repr(up), expected))
     without_pose = ", ".join(camera.name for camera, _ in cameras if not camera.has_extrinsics)
     with_z_up = ", ".join(camera.name for camera, _ in cameras if camera.has_extrinsics and camera.world_z_up)
     problems = [
         *([("no pose", without_pose, "cameras with poses")] if without_pose else []),
         *(
-            [("a file that states z up", with_z_up, "no --set up, or a file without this statement")]
+            [("a file that states z up", with_z_up, f"no {option}, or a file without this statement")]
             if with_z_up
             else []
         ),
     ]
     raise_problems(
-        Problem("--set up", "up", f"{up}, but {fault} for {names}", expected) for fault, names, expected in problems
+        Problem(option, "up", f"{up}, but {fault} for {names}", expected) for fault, names, expected in problems
     )
     return tuple((with_up(camera, direction / np.linalg.norm(direction)), track) for camera, track in cameras)
 

@@ -12,7 +12,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -156,12 +156,9 @@ def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
     """Draft a skeleton from several cameras, whose poses and upward direction have to be known."""
     options = ("keypoints", "camera", "fps", "up", "individual", "camera_name", "camera_unit")
     fit_settings = FitSettings(**picked(settings, *options))
-    try:
-        files, cameras = collect_problems(lambda: read_clips(fit_settings), lambda: read_clip_cameras(fit_settings))
-    except InputError as error:
-        of_fit, of_draft = "--set up", "--up"
-        problems = (replace(problem, expected=problem.expected.replace(of_fit, of_draft)) for problem in error.problems)
-        raise InputError(replace(p, file=of_draft) if p.file == of_fit else p for p in problems) from None
+    files, cameras = collect_problems(
+        lambda: read_clips(fit_settings), lambda: read_clip_cameras(fit_settings, up_option="--up")
+    )
     first, source = files[0], settings.keypoints[0]
     assert first.fps is not None
     if len(files) < 2 or not all(camera.has_extrinsics for camera, _ in cameras):

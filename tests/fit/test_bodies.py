@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import refusal, run, says
+from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
 from recon import (
@@ -332,6 +332,11 @@ def test_draft_from_geometry_fits_the_clip(skeleton, alone, tmp_path):
         skeleton_from_keypoints(
             SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
         )
+    given = ("--camera", rig, "--fps", str(rigs.FPS), "--out", tmp_path / "a.toml")
+    stated = ("--up", "up", ["z", "states z up"], "no --up, or a file without")
+    refused(["skeleton", "from-keypoints", *files, *given, "--up", "z"], stated)
+    unknown = ("--up", "direction", "'w'", ["x, y or z", "first-camera"])
+    refused(["skeleton", "from-keypoints", *files, *given, "--up", "w"], unknown)
 
 
 @pytest.mark.slow
