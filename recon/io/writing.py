@@ -12,9 +12,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.file_names import encodable
@@ -131,10 +132,18 @@ def write_table(
     If `guard` is true, strings are escaped so that a spreadsheet does not run them as formulas.
     """
     write_rows(path, header, (), guard)
+    size = np.abs(values)
+    # JSON is made three times as fast as Python's strings, and differs from them only in very small and large numbers.
+    differs = (((size > 0) & (size < 1e-4)) | (size >= 1e16)).any(axis=1)
+    as_json = TypeAdapter(Any).dump_json
     with path.open("a", encoding="utf-8", newline="") as file:
-        for frame, row in zip(frames.tolist(), values, strict=True):  # repr of a list is faster than csv.writer
-            cells = repr([frame, *row.tolist()])[1:-1]
-            file.write(cells.replace(", ", ",").replace("nan", "") + "\n")
+        for frame, row, as_python in zip(frames.tolist(), values, differs.tolist(), strict=True):
+            cells = [frame, *row.tolist()]
+            if as_python:
+                text = repr(cells).replace(", ", ",").replace("nan", "")
+            else:
+                text = as_json(cells).decode().replace("null", "")
+            file.write(text[1:-1] + "\n")
 
 
 def write_rows(

@@ -100,8 +100,8 @@ def quality(motion: Motion, path: Path) -> None:
     values = {name: np.asarray(getattr(motion, name)) for name in QUALITY_COLUMNS[2:-1]}
     values[QUALITY_COLUMNS[-1]] = frame_rms_m(motion)
     decimals = {name: metre_decimals(motion) if name.endswith("_m") else SHARE for name in values}
-    columns = (motion.frames, flags, *(_rounded(column, decimals[name]) for name, column in values.items()))
-    write_rows(path, [QUALITY_COLUMNS], zip(*columns, strict=True))
+    numbers = (_rounded(column, decimals[name]).tolist() for name, column in values.items())
+    write_rows(path, [QUALITY_COLUMNS], zip(motion.frames.tolist(), flags, *numbers, strict=True))
 
 
 def reprojection(motion: Motion, path: Path, camera: int = 0) -> None:

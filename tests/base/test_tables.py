@@ -10,7 +10,7 @@ import pytest
 
 from recon.base.patterns import slow_part
 from recon.base.tables import guarded, unguarded, write_frame
-from recon.io.writing import write_columns, write_rows
+from recon.io.writing import write_columns, write_rows, write_table
 
 LINK = '=HYPERLINK("http://example.org")'
 
@@ -33,6 +33,16 @@ def test_every_writer_of_tables_guards_texts(tmp_path):
     write_columns(tmp_path / "columns.csv", {"joint": np.array(["=a", "b", "=a"]), "x": np.array([-1.5, 1, np.nan])})
     lines = (tmp_path / "columns.csv").read_text().splitlines()
     assert [line.strip('"') for line in lines[1:]] == ["'=a,-1.5", "b,1", "'=a,"]
+
+
+def test_numbers_are_written_as_python_prints_them(tmp_path):
+    sizes = np.array([0.0, 1e-07, 9.9e-05, 1e-04, 0.1, 1 / 3, 100.0, 123456.7, 9.9e15, 1e16, 1e300, np.inf])
+    values = np.concatenate([np.outer([1, -1], sizes).ravel(), [np.nan]])
+    for table in (values[None], values[:, None]):  # one row of all numbers, and one number in each row
+        frames = np.arange(len(table))
+        write_table(tmp_path / "table.csv", [["frame"]], frames, table)
+        expected = [",".join([str(t), *("" if x != x else repr(x) for x in table[t].tolist())]) for t in frames]
+        assert (tmp_path / "table.csv").read_text().splitlines()[1:] == expected
 
 
 @pytest.mark.parametrize("count", [0, 1, 9])
