@@ -56,6 +56,8 @@ SPEEDS: tuple[str, str] = ("given_speed_m_s", "other_speed_m_s")
 """Names of the numbers that state the animal's mean speed at the given and at the other frame rate, m/s."""
 WITHOUT_FAULT = frozenset({"camera_agreement"})
 """Codes of notes that report agreement, not a fault."""
+NOTE_IN_REASON = "keypoints_do_not_fit"
+"""Code of the note whose message is part of the reason for the verdict "use"."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 

@@ -19,7 +19,7 @@ from recon.animal.prior import NONE
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, printable
 from recon.base.numbers import NORMAL_90, counted, rough_length
-from recon.check.codes import EFFECTS, WITHOUT_FAULT, sentence
+from recon.check.codes import EFFECTS, NOTE_IN_REASON, WITHOUT_FAULT, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
 from recon.check.rules import findings_of
 from recon.fit.clip_problem import focal_sigma_of
@@ -247,7 +247,7 @@ def _verdict(motion: Motion) -> Verdict:
     reason = REASON_TEXTS[code]
     if pose.high <= LIMIT_OF_TRUNK:
         reason, code = _nothing_against(motion, position)
-    if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
+    if level == "use" and (notes := [finding for finding in motion.findings if finding.code == NOTE_IN_REASON]):
         reason, code = f"Good except for this: {_sentence_of(motion, notes[0])}", notes[0].code
     warned = bool(warnings) and level != "do not use"
     if warned:

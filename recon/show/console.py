@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.base.numbers import rough_length
-from recon.check.codes import EFFECTS, WITHOUT_FAULT
+from recon.check.codes import EFFECTS, NOTE_IN_REASON, WITHOUT_FAULT
 
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Style of each level of a verdict on the terminal, for rich."""
@@ -45,12 +45,14 @@ def console_summary(report: Mapping[str, Any]) -> Table:
         table.add_row(Text(label, style="bold"), Text.assemble((level, STYLES.get(level, "")), text[len(level) :]))
     if verdict["level"] in TO_DO:
         table.add_row(Text("to do", style="bold"), TO_DO[verdict["level"]])
-    for finding in report["findings"]:
-        if finding["severity"] != "note" and finding["text"] != verdict["reason"]:
+    stated = reason_finding(report)
+    further = [finding for number, finding in enumerate(report["findings"]) if number != stated]
+    for finding in further:
+        if finding["severity"] != "note":
             colour = {"error": "red", "warning": "yellow"}[finding["severity"]]
             table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
     if verdict["level"] == "use":
-        for text in _largest_notes(report["findings"], verdict["reason"]):
+        for text in _largest_notes(further):
             table.add_row(Text("note", style="bold"), text)
     for label, text in report["lines"][verdict_count:]:
         are_all_used = label == "keypoints" and text.endswith(" used")  # the usual case needs no line
@@ -59,14 +61,26 @@ def console_summary(report: Mapping[str, Any]) -> Table:
     return table
 
 
-def _largest_notes(findings: Sequence[Mapping[str, Any]], reason: str) -> list[str]:
-    """Return the first sentences of up to `NOTES` notes that are not part of the verdict's reason.
+def reason_finding(report: Mapping[str, Any]) -> int | None:
+    """Return the index of the finding whose message is the reason of a report's verdict, None if there is none.
+
+    A note that only widens an expected error has the reason's code, but its message is not the reason.
+    """
+    code = (report["verdict"] or {}).get("reason_code")
+    for index, item in enumerate(report["findings"]):
+        if item["code"] == code and (item["severity"] != "note" or code == NOTE_IN_REASON):
+            return index
+    return None
+
+
+def _largest_notes(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the first sentences of up to `NOTES` of the notes among the findings.
 
     The notes with the largest effects are chosen. Notes with an unknown effect come last.
     """
     notes = []
     for item in findings:
-        if item["severity"] == "note" and item["code"] not in WITHOUT_FAULT and item["text"] not in reason:
+        if item["severity"] == "note" and item["code"] not in WITHOUT_FAULT:
             pose_m, position_m = (item["numbers"].get(name) or 0.0 for name in EFFECTS)
             effect_m = max(pose_m, position_m)
             affected = "pose" if pose_m > position_m else "position"

@@ -20,7 +20,7 @@ from recon.check.codes import finding, sentence
 from recon.check.rules import findings_of
 from recon.fit.result import MotionSegment, SecondCamera
 from recon.show import report as reports
-from recon.show.console import FRONT, TO_DO, console_summary
+from recon.show.console import FRONT, TO_DO, console_summary, reason_finding
 from recon.show.plain import write_report
 from recon.show.report import SCHEMA_VERSION, is_unsolved
 from recon.thesis.solution import in_world
@@ -576,6 +576,31 @@ def test_a_terminal_names_the_two_notes_with_the_largest_effect(trajectory):
         assert notes == (
             ["Second thing (position by 1.5 m).", "Third thing (position by 0.30 m)."] if level == "use" else []
         )
+
+
+@pytest.mark.parametrize(
+    ("code", "index"),
+    [
+        ("cameras_out_of_step", 1),  # the first of two cameras out of step
+        ("keypoints_do_not_fit", 3),
+        ("picture_zooms", None),  # a note that widens the expected error is listed like other notes
+        ("no_fault", None),
+        ("", None),
+    ],
+)
+def test_the_verdicts_finding_is_found_by_its_code_and_not_listed_again(trajectory, code, index):
+    rows = [("picture_zooms", "note"), *[("cameras_out_of_step", "warning")] * 2, ("keypoints_do_not_fit", "note")]
+    findings = [
+        {"code": name, "severity": severity, "text": f"Finding {i}.", "numbers": {}}
+        for i, (name, severity) in enumerate(rows)
+    ]
+    verdict = {"level": "use", "reason": "Good except for this: ...", "reason_code": code}
+    report = trajectory | {"verdict": verdict, "findings": findings}
+    assert reason_finding(report) == index
+    assert reason_finding(report | {"verdict": None}) is None
+    out = StringIO()
+    Console(file=out, width=160).print(console_summary(report))
+    assert [i for i in range(4) if f"Finding {i}." in out.getvalue()] == [i for i in range(4) if i != index]
 
 
 @pytest.mark.parametrize("listed", ["", "; missing: nose"])

@@ -33,7 +33,7 @@ from recon.gait.dynamics import validity_text
 from recon.gait.kinematics import JointKinematics
 from recon.gait.spline import MIN_POINTS
 from recon.io.video import Image
-from recon.show.console import TO_DO
+from recon.show.console import TO_DO, reason_finding
 from recon.show.page.own_page import GENERATED, PAGE
 from recon.show.page.pictures import PictureStrip
 from recon.show.page.player_data import flag_runs, player_data
@@ -150,9 +150,8 @@ def clip_page(
     player = player_data(motion, analysis, number, pictures) if has_pose.any() else None
     quality = quality_tables(motion)
     flagged = list(flagged_frames(motion))
-    reason = "" if motion.verdict is None else motion.verdict.reason
-    findings = list(enumerate(report["findings"]))
-    further = [(number, item) for number, item in findings if item["text"] not in reason]
+    verdict_finding = reason_finding(report)
+    further = [(number, item) for number, item in enumerate(report["findings"]) if number != verdict_finding]
     return rendered(
         "report.html",
         title=files_read if batch is None else batch.clip,
@@ -162,7 +161,7 @@ def clip_page(
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
         to_do="" if motion.verdict is None else TO_DO.get(motion.verdict.level, ""),
-        verdict_finding=next((number for number, item in findings if reason and item["text"] in reason), None),
+        verdict_finding=verdict_finding,
         warnings=[(number, item["text"]) for number, item in further if item["severity"] != "note"],
         notes=[(number, item["text"]) for number, item in further if item["severity"] == "note"],
         stills=stills,
