@@ -210,7 +210,7 @@ class Pages(dict[str, Path]):
         else:
             with pytest.MonkeyPatch.context() as patch:
                 if name != "whole":  # only this page's figures are tested
-                    patch.setattr("recon.show.plots.style.svg_of", lambda figure: "<svg></svg>")
+                    patch.setattr("recon.show.plots.style.svg_of", lambda figure, largest: "<svg></svg>")
                 chosen = PageSettings(folder=self.folder / name, video=self.video if name == "film" else None)
                 _page_of_clip(chosen, silent, whole_batch=True)
             self[name] = self.folder / name / "report.html"

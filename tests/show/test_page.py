@@ -269,7 +269,9 @@ def test_figures_are_embedded_as_vectors_unless_these_are_large():
     assert "&lt;script&gt;" in svg
     assert "<script" not in svg
     assert "<style" not in svg  # a style in the picture would apply to the whole page
-    assert inline(figure, 1000).startswith('<img alt="" src="data:image/png;base64,')
+    assert inline(figure, len(svg)) == svg
+    for largest in (len(svg) - 1, 1000):
+        assert inline(figure, largest).startswith('<img alt="" src="data:image/png;base64,')
 
 
 @pytest.fixture(scope="module")

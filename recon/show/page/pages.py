@@ -76,8 +76,8 @@ def inline(figure: Figure, largest: int) -> str:
     """Return a figure for a page as <svg>, or as PNG if the <svg> would have more than `largest` characters."""
     from recon.show.plots.style import png_of, svg_of  # matplotlib is slow to import
 
-    svg = svg_of(figure)
-    if len(svg) <= largest:
+    svg = svg_of(figure, largest)
+    if svg is not None:
         return svg  # no escaping, because matplotlib has escaped the figure's labels
     return f'<img alt="" src="{_data("image/png", png_of(figure, PNG_DPI, transparent=True))}">'
 

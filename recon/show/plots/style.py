@@ -135,10 +135,39 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
     return Path(folder) / f"{stem}.png", Path(folder) / f"{stem}.svg"
 
 
-def svg_of(figure: Figure) -> str:
-    """Return a figure's <svg> element for a page, transparent and with text that can be selected."""
-    text = _content(figure, "svg", transparent=True).decode()
-    return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
+_SVG_HEAD = 2_000
+"""Number of characters that an SVG file has in addition to the element that a page needs."""
+
+
+def svg_of(figure: Figure, largest: int) -> str | None:
+    """Return a figure's <svg> element for a page, transparent and with text that can be selected.
+
+    Return None if the element would have more than `largest` characters.
+    """
+    try:
+        text = _content(figure, "svg", into=_LimitedFile(largest + _SVG_HEAD), transparent=True).decode()
+    except _FileTooLargeError:
+        return None
+    svg = re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    return svg if len(svg) <= largest else None
+
+
+class _FileTooLargeError(Exception):
+    pass
+
+
+class _LimitedFile(io.BytesIO):
+    """File in memory that cannot have more than `largest` bytes, so that no time is spent on writing the rest."""
+
+    def __init__(self, largest: int) -> None:
+        super().__init__()
+        self.largest = largest
+
+    def write(self, content: Any) -> int:
+        """Write bytes, or raise _FileTooLargeError."""
+        if self.tell() + len(content) > self.largest:
+            raise _FileTooLargeError
+        return super().write(content)
 
 
 def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> bytes:
@@ -151,10 +180,13 @@ def printed_content(figure: Figure, kind: str) -> bytes:
     return _content(figure, kind, fonts="path", **({"dpi": PRINT_DPI} if kind == "png" else {}))
 
 
-def _content(figure: Figure, kind: str, fonts: str = "none", **options: Any) -> bytes:
-    """Return the content of a figure's file, without metadata that changes from run to run."""
+def _content(figure: Figure, kind: str, fonts: str = "none", into: io.BytesIO | None = None, **options: Any) -> bytes:
+    """Return the content of a figure's file, without metadata that changes from run to run.
+
+    `into` is an empty file in memory to write into, by default a new one.
+    """
+    content = io.BytesIO() if into is None else into
     left_out = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer")}[kind]
-    content = io.BytesIO()
     with _settings(), mpl.rc_context({"svg.fonttype": fonts, "pdf.fonttype": 42}):
         figure.savefig(content, format=kind, metadata=dict.fromkeys(left_out), **options)
     return content.getvalue()
