@@ -11,6 +11,8 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
 from command_line import refusal
 from rerun.chunk import RrdReader
@@ -302,7 +304,7 @@ def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_t
     colours = {c["class_description"]["info"]["label"]: c["class_description"]["info"]["color"] for c in context}
     assert list(colours) == list(world_trajectory.limbs)
     left, right, middle = colours["left front leg"], colours["right front leg"], colours["trunk"]
-    assert len({left, right, middle}) == 3
+    assert (left, right, middle) == (0x56B4E9FF, 0xE69F00FF, 0x009E73FF)
     assert colours["left hind leg"] == left
     assert colours["right hind leg"] == right
     assert colours["tail"] == colours["head"] == colours["eyes"] == middle
@@ -562,6 +564,15 @@ def test_the_web_viewer_is_served_on_this_machine_only(tmp_path: Path, monkeypat
     assert rest[:3] == ["--serve-web", "--bind", "127.0.0.1"]
     assert str(tmp_path / "motion.rrd") not in rest  # rerun's server would let every user of this machine read it
     assert "http" not in policy
+
+
+def test_a_playback_needs_no_pandas_and_leaves_pyarrow_as_it_was(small_motion, tmp_path, monkeypatch):
+    with monkeypatch.context() as without:
+        without.delitem(sys.modules, "pandas")
+        pa.lib._pandas_api.__init__()
+        write(small_motion, tmp_path / "motion.rrd")
+        assert "pandas" not in sys.modules
+    assert pa.array(pd.Series([1.0, np.nan])).null_count == 1
 
 
 def test_a_playback_without_enough_memory_is_an_error(small_motion, tmp_path, monkeypatch):
