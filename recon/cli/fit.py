@@ -64,10 +64,16 @@ def _read(config: Path | None, options: Mapping[str, Any]) -> FitSettings:
 
 _WITHOUT_CAMERA = ("individual", "rename", "fps", "skeleton", "subject", "detector", "size", "height_m", "prior")
 """Settings by which keypoint files and the skeleton can be checked before the camera is known."""
+_ANY_CAMERA: dict[str, Any] = {"hfov_deg": 60.0, "image_size_px": (1, 1)}
+"""A camera with which `FitSettings` are complete. The readers of keypoint files and of skeletons do not look at it."""
 
 
 def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: Container[str]) -> Iterable[Problem]:
-    """Return the problems with a fit's files, ignoring the settings named in `wrong`, whose values are invalid."""
+    """Return the problems with a fit's files, ignoring the settings named in `wrong`, whose values are invalid.
+
+    If the other settings are complete, all inputs are checked. Otherwise, usually because the camera is missing, each
+    keypoint file is checked on its own, with the skeleton.
+    """
     from recon.api.clip_inputs import prepare, read_clips, read_model
     from recon.io.formats import read_keypoints
 
@@ -80,7 +86,7 @@ def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: C
     checks: list[Callable[[], object]] = []
     for path in options.get("keypoints") or ():
         try:
-            clip = FitSettings(keypoints=(path,), hfov_deg=60.0, image_size_px=(1, 1), **known)
+            clip = FitSettings(keypoints=(path,), **_ANY_CAMERA, **known)
             checks += [partial(read_clips, clip), *([] if "method" in options else [partial(read_model, clip)])]
         except InputError:
             checks.append(partial(read_keypoints, path, options.get("individual")))
