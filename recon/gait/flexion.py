@@ -19,10 +19,11 @@ import numpy as np
 
 from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side
 from recon.animal.body import Body, Side
-from recon.base.arrays import Array, Brief, Index
+from recon.base.arrays import Array, Brief
 from recon.base.numbers import NORMAL_90
 from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
+from recon.geometry.kinematics import Marker, Tree
 
 MODEL_RAD = np.radians(5.0)
 """Standard deviation of a joint angle due to motion that a skeleton of hinges cannot follow, rad.
@@ -33,8 +34,7 @@ PERCENT = np.arange(101.0)
 """Phases of the stride at which mean flexion curves are computed, in percent from one touch-down to the next."""
 MIN_KNOWN_FRACTION = 0.9
 """Minimum fraction of the stride's duration with a pose for a stride to contribute to the mean curve."""
-_STEP_RAD = 1e-4
-_ROWS_AT_ONCE = 2000
+_ROWS_AT_ONCE = 500
 """Number of frames whose derivatives are computed at once, to limit memory."""
 
 
@@ -126,6 +126,21 @@ def _sagittal_angle(proximal: Array, distal: Array, left: Array) -> Array:
     return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)
 
 
+def _gradients(proximal: Array, distal: Array, left: Array) -> tuple[Array, Array, Array]:
+    """Return the derivatives of `_sagittal_angle` with respect to its three arguments, each of shape (T, 3)."""
+    sideways = np.sum(proximal * left, axis=1, keepdims=True), np.sum(distal * left, axis=1, keepdims=True)
+    normal = np.cross(proximal, distal)
+    sine = np.sum(normal * left, axis=1, keepdims=True)
+    cosine = np.sum(proximal * distal, axis=1, keepdims=True) - sideways[0] * sideways[1]
+    square = sine**2 + cosine**2
+    sine, cosine = sine / square, cosine / square
+    return (
+        cosine * np.cross(distal, left) - sine * (distal - sideways[1] * left),
+        cosine * np.cross(left, proximal) - sine * (proximal - sideways[0] * left),
+        cosine * normal + sine * (sideways[1] * proximal + sideways[0] * distal),
+    )
+
+
 def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
     """Return the flexion of every anatomical joint of the skeleton over the clip."""
     body, posed = motion.body, np.flatnonzero(motion.solved)
@@ -146,24 +161,22 @@ def flexion_variance(body: Body, states: Array, angle_sigma: Array, size: float 
 
     `angle_sigma` are the standard deviations of the fit's angles, shape (T, D - 3), rad. `MODEL_RAD` is not included.
     """
-    variance = np.zeros((len(body.anatomy), len(states)))
-    every_few, columns = states[:: -(-len(states) // 3)], np.arange(3, states.shape[1])
-    matters = np.abs(_changes(body, every_few, size, columns)).max(axis=(1, 2), initial=0.0) > 1e-6
-    at_once = max(1, _ROWS_AT_ONCE // len(states))
-    for first in range(0, int(matters.sum()), at_once):
-        group = columns[matters][first : first + at_once]
-        for column, change in zip(group, _changes(body, states, size, group), strict=True):
-            variance += (change * angle_sigma[:, column - 3]) ** 2
+    segment_of, signs = {marker.name: marker.segment for marker in body.tree.markers}, (0, 1)
+    # Two points on the left axis of a segment, 1 m apart, have the derivatives of the axis.
+    carriers = dict.fromkeys(segment_of[markers[0]] for markers in body.anatomy.values())
+    on_axes = [Marker(f"{segment} {side}", segment, (0.0, side - 0.5, 0.0)) for segment in carriers for side in signs]
+    tree = Tree(body.tree.segments, (*body.tree.markers, *on_axes))
+    row_of = {marker.name: row for row, marker in enumerate(tree.markers)}
+    posed = tree.pose_with_jacobian(states, size)
+    variance = np.empty((len(body.anatomy), len(states)))
+    for i, markers in enumerate(body.anatomy.values()):
+        rows = [row_of[name] for name in (*markers, *(f"{segment_of[markers[0]]} {side}" for side in signs))]
+        first, middle, last, right, left = np.moveaxis(posed.points_m[:, rows], 1, 0)
+        by_proximal, by_distal, by_left = _gradients(middle - first, last - middle, (left - right) / size)
+        by_point = [-by_proximal, by_proximal - by_distal, by_distal, -by_left / size, by_left / size]
+        change = np.einsum("tpk,tpkd->td", np.stack(by_point, axis=1), posed.jacobian[:, rows, :, 3:])
+        variance[i] = np.sum((change * angle_sigma) ** 2, axis=1)
     return variance
-
-
-def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
-    """Return the derivatives of the A flexions with respect to C elements of the states (T, D), shape (C, A, T)."""
-    steps = _STEP_RAD * (np.arange(states.shape[1]) == columns[:, None])[:, None]
-    stepped = np.concatenate([states + steps, states - steps])
-    flexions = flexion_rad(body, stepped.reshape(-1, states.shape[1]), size).reshape(len(body.anatomy), -1, len(states))
-    forward, backward = np.split(flexions.swapaxes(0, 1), 2)
-    return (np.mod(forward - backward + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
 
 
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:

@@ -15,7 +15,7 @@ from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.flexion import PERCENT, StrideCurve, extreme, flexion_rad, joint_flexions
+from recon.gait.flexion import PERCENT, StrideCurve, extreme, flexion_rad, flexion_variance, joint_flexions
 from recon.io.positions import read_pose3d
 from recon.show.plots.flexion import joint_flexion as draw
 from recon.show.tables import joint_flexion, joint_flexion_stride, vector_field
@@ -77,6 +77,20 @@ def test_flexion_does_not_change_with_heading_roll_and_position():
     moved = row.copy()
     moved[:, :6] = 3.0, -2.0, 0.5, 1.2, 0.3, -0.4
     assert flexion_rad(BODY, moved) == pytest.approx(flexion_rad(BODY, row), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["cheetah-24", "horse-22"])
+def test_the_variance_of_a_flexion_follows_from_central_differences(name):
+    body, size, step = load_skeleton(name), 1.3, 1e-5
+    rng = np.random.default_rng(0)
+    rows = rng.normal(0.0, 0.4, (5, len(body.state_names)))
+    sigma = rng.uniform(0.01, 0.2, (5, len(body.state_names) - 3))
+    expected = np.zeros((len(body.anatomy), 5))
+    for k, shift in enumerate(step * np.eye(len(body.state_names))[3:]):
+        change = flexion_rad(body, rows + shift, size) - flexion_rad(body, rows - shift, size)
+        expected += ((np.mod(change + np.pi, 2 * np.pi) - np.pi) / (2 * step) * sigma[:, k]) ** 2
+    assert expected.min() > 1e-6
+    np.testing.assert_allclose(flexion_variance(body, rows, sigma, size), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("gait", [GALLOP, pytest.param(TROT, marks=pytest.mark.slow)])
