@@ -40,6 +40,7 @@ from recon.gait.quantities import AnalysedClip, GaitQuantity, gait_quantities
 from recon.gait.series import Errors, jitter_errors, lasting_errors
 from recon.gait.spline import MIN_POINTS
 from recon.gait.stances import BODY, interval_of, interval_text, pose_tracks
+from recon.geometry.kinematics import PITCH
 from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ In longer times without a detection, the position comes from the prior only.
 BELT_GIVEN = (
     "Only the analysis used the belt's speed, not the fit. Fit again with --set belt-speed-m-s for the best result."
 )
+_ROWS_AT_ONCE = 200
+"""Number of frames whose derivatives are computed at once, to limit memory."""
 STIFF_RAD = 1e-6
 """Smallest range of the back's angle over a clip that counts as flexion, rad.
 
@@ -566,22 +569,23 @@ def _with_sigma(
     angles: Sequence[AngleKinematics],
 ) -> dict[str, tuple[phase.LinkField, ...]]:
     """Return the vector fields with standard deviations propagated from independent errors of the angles' rates."""
-    rates = [angle.series.rate_sigma for angle in angles]
-    names, step = motion.names, 1e-5
-    moved: dict[str, list[Array]] = {limb: [] for limb in chains}
-    for k, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
-        shift = step * (np.arange(motion.states.shape[1]) == 4 + k)
-        joints = [motion.body.tree.pose(motion.states + change, motion.size).points_m for change in (-shift, shift)]
-        rear, front = (names.index(joint) for joint in motion.forward_names)
-        is_turned = (joints[0] != joints[1]).any(axis=(0, 2))
+    rate_sigma = np.stack([angle.series.rate_sigma[:: angle.series.oversampling, 0] for angle in angles], axis=1)
+    names, moved = motion.names, {limb: list[Array]() for limb in chains}
+    rear, front = (names.index(joint) for joint in motion.forward_names)
+    for first in range(0, len(rate_sigma), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        pose = motion.body.tree.pose_with_jacobian(motion.states[rows], motion.size)
+        points_m, moved_m_s = pose.points_m, pose.jacobian[..., PITCH:] * rate_sigma[rows, None, None]
+        forward_m, forward_moved_m_s = points_m[:, front] - points_m[:, rear], moved_m_s[:, front] - moved_m_s[:, rear]
         for limb, chain in chains.items():
-            rows = [names.index(joint) for joint in chain]
-            if is_turned[[*rows, rear, front]].any():
-                lower, upper = (phase.tips(points[:, rows], points[:, front] - points[:, rear]) for points in joints)
-                per_rad = (upper - lower) / (2 * step)
-                moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
+            along = [names.index(joint) for joint in chain]
+            of_joints = points_m[:, along], forward_m, moved_m_s[:, along], forward_moved_m_s
+            moved[limb].append(phase.tip_changes(*of_joints))
     return {
-        limb: tuple(phase.field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))
+        limb: tuple(
+            phase.field_with_sigma(field, np.concatenate([part[:, i] for part in moved[limb]]))
+            for i, field in enumerate(of_limb)
+        )
         for limb, of_limb in fields.items()
     }
 

@@ -205,27 +205,70 @@ def tips(joints_m: Array, forward_m: Array) -> Array:
     `joints_m` are the positions of the chain's joints, shape (T, J, 3). `forward_m` are vectors from rear to front,
     shape (T, 3).
     """
-    right = np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros(len(forward_m))], axis=1)
-    result = []
+    right, result = _to_right(forward_m), []
     for parent, start, end in zip(*(np.moveaxis(joints_m, 1, 0)[i:] for i in range(3)), strict=False):
-        x_axis = _unit(start - parent)
-        z_axis = _unit(right - np.sum(right * x_axis, axis=1, keepdims=True) * x_axis)
-        axes = np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
-        result.append(np.einsum("tij,tj->ti", axes, end - start))
+        result.append(np.einsum("tij,tj->ti", _parent_axes(start - parent, right), end - start))
     return np.stack(result, axis=1)
+
+
+def tip_changes(joints_m: Array, forward_m: Array, moved_m: Array, forward_moved_m: Array) -> Array:
+    """Return how much the x and y of the links' tips change if the joints move a little.
+
+    Parameters
+    ----------
+    joints_m, forward_m : ndarray
+        As in `tips`.
+    moved_m : ndarray
+        Changes of the joints' positions in each of K small motions, shape (T, J, 3, K).
+    forward_moved_m : ndarray
+        Changes of `forward_m`, shape (T, 3, K).
+
+    Returns
+    -------
+    ndarray
+        Changes of x and y, shape (T, J - 2, 2, K).
+    """
+    right, right_moved = _to_right(forward_m), _to_right(forward_moved_m)
+    links_m, links_moved_m = np.diff(joints_m, axis=1), np.diff(moved_m, axis=1)
+    changes = np.empty((len(joints_m), links_m.shape[1] - 1, 2, moved_m.shape[-1]))
+    for i in range(links_m.shape[1] - 1):
+        axes = _parent_axes(links_m[:, i], right)
+        x, y, z = np.einsum("tij,tj->it", axes, links_m[:, i + 1])[..., None]
+        along, _, across = np.einsum("tij,tj->it", axes, right)[..., None]
+        parent, link = (np.einsum("tij,tjk->itk", axes, links_moved_m[:, part]) for part in (i, i + 1))
+        turned = parent / np.linalg.norm(links_m[:, i], axis=1)[:, None]  # the x axis turns by this much to y and to z
+        rolled = (along * turned[1] - np.einsum("tj,tjk->tk", axes[:, 1], right_moved)) / across
+        changes[:, i, 0] = link[0] + y * turned[1] + z * turned[2]
+        changes[:, i, 1] = link[1] - x * turned[1] + z * rolled
+    return changes
+
+
+def _to_right(forward_m: Array) -> Array:
+    """Return the horizontal vectors (T, 3, ...), m, to the right of vectors (T, 3, ...) from rear to front."""
+    return np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros_like(forward_m[:, 0])], axis=1)
+
+
+def _parent_axes(parent_m: Array, right: Array) -> Array:
+    """Return the axes x, y, z of the frame of a link (T, 3), m, in the rows of (T, 3, 3).
+
+    `right` are vectors to the animal's right, shape (T, 3).
+    """
+    x_axis = _unit(parent_m)
+    z_axis = _unit(right - np.sum(right * x_axis, axis=1, keepdims=True) * x_axis)
+    return np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
 
 
 def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
     """Return the vector field with standard deviations, which are propagated linearly.
 
-    `moved_m_s` are the changes of the tip's velocity due to one standard deviation of each of K independent errors,
-    shape (K, T, 3). The standard deviations are NaN if the tip does not move, or if its radius is 0.
+    `moved_m_s` are the changes of the tip's dx and dy due to one standard deviation of each of K independent errors,
+    shape (T, 2, K). The standard deviations are NaN if the tip does not move, or if its radius is 0.
     """
-    (x, y), (dx, dy) = field.position_m[:, :2].T, field.velocity_m_s[:, :2].T
-    ex, ey = moved_m_s[..., 0], moved_m_s[..., 1]
+    (x, y), (dx, dy) = field.position_m[:, :2, None].swapaxes(0, 1), field.velocity_m_s[:, :2, None].swapaxes(0, 1)
+    ex, ey = moved_m_s.swapaxes(0, 1)
 
     def sigma(change: Array, divisor: Array) -> Array:
-        total = np.sqrt(np.sum(change**2, axis=0))
+        total = np.sqrt(np.sum(change**2, axis=1))
         return np.divide(total, divisor, out=np.full_like(total, np.nan), where=divisor > 0)
 
     return replace(

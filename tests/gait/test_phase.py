@@ -17,6 +17,8 @@ from recon.gait.phase import (
     phase_portrait,
     pose_vector_field,
     scaled,
+    tip_changes,
+    tips,
     vector_field,
 )
 from recon.io.common import Pose3D
@@ -141,13 +143,25 @@ def test_deviations_of_a_link_that_turns():
     tip = 0.4 * np.column_stack([np.cos(angle), np.zeros(90), np.sin(angle)])
     joints = np.stack([np.tile([-1.0, 0, 0], (90, 1)), np.zeros((90, 3)), tip], axis=1)
     (field,) = vector_field(TIME_S, joints, ("a", "b", "c"), np.tile([1.0, 0, 0], (90, 1)))
-    across = np.stack([-field.position_m[:, 1], field.position_m[:, 0], np.zeros(90)], axis=1)
-    found = field_with_sigma(field, 0.1 * across[None])
+    across = np.stack([-field.position_m[:, 1], field.position_m[:, 0]], axis=1)
+    found = field_with_sigma(field, 0.1 * across[:, :, None])
     np.testing.assert_allclose(found.dtheta_sigma_rad_s, 0.1)
     np.testing.assert_allclose(found.speed_sigma_m_s, 0.04, rtol=1e-3)
     np.testing.assert_allclose(found.dr_sigma_m_s, 0, atol=1e-12)
     means = means_of_field(found)
     assert means.speed_sigma_m_s == pytest.approx(0.04, rel=1e-3)
+
+
+def test_changes_of_the_tips_agree_with_central_differences():
+    rng, step = np.random.default_rng(0), 1e-6
+    joints, forward = rng.normal(size=(7, 5, 3)), rng.normal(size=(7, 3))
+    moved, forward_moved = rng.normal(size=(7, 5, 3, 2)), rng.normal(size=(7, 3, 2))
+    found = tip_changes(joints, forward, moved, forward_moved)
+    for k in range(2):
+        later, earlier = (
+            tips(joints + s * moved[..., k], forward + s * forward_moved[..., k])[..., :2] for s in (step, -step)
+        )
+        np.testing.assert_allclose(found[..., k], (later - earlier) / (2 * step), rtol=1e-6, atol=1e-7)
 
 
 def test_closure_of_a_quarter_circle_by_hand():
