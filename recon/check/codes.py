@@ -45,6 +45,8 @@ FLAGS: Mapping[str, str] = {
 _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))
 CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
 """Severity and message of each code, from `codes.toml`, with causes before their consequences."""
+FAULTS: Mapping[str, str] = {code: row["fault"] for code, row in _ROWS.items() if "fault" in row}
+"""Clause that completes "if", such as "the focal length is wrong", for each code whose findings state an effect."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of other findings."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
@@ -136,18 +138,20 @@ def sentence(item: Finding, named: bool = True) -> str:
     frames = numbers.get("late_frames", 0.0)
     delay = f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}"
     camera, frames_text = item.camera if named else "the camera", _where(item.frames)
-    effect = effect_text(numbers)
+    values["effect"] = effect_text(numbers, "Without this fault")
+    values["focal_effect"] = effect_text(numbers, "With a focal length at the end of its 90 % interval")
     if "count" in numbers:
         values["count_of_frames"] = counted(numbers["count"], "frame")
-    text = words.format(**values, **degrees, **lengths, camera=camera, where=frames_text, late=delay, effect=effect)
+    text = words.format(**values, **degrees, **lengths, camera=camera, where=frames_text, late=delay)
     text = re.sub(r"(?<=\d)%", " %", text)
     return f"{item.camera}: {text}" if named and item.camera and "{camera}" not in words else text
 
 
-def effect_text(numbers: Mapping[str, Any]) -> str:
+def effect_text(numbers: Mapping[str, Any], condition: str) -> str:
     """Return a sentence, after a space, that states the effect of a fault on the result, or "" if it is unknown.
 
-    For a wrong frame rate, which changes poses and positions little, the sentence states the effect on the speed.
+    `condition` begins a sentence on poses and positions, such as "Without this fault". For a wrong frame rate, which
+    changes poses and positions little, the sentence states the effect on the speed.
     """
     if {*SPEEDS} <= numbers.keys():
         speed_text, other_text = (_speed_text(numbers[name]) for name in SPEEDS)
@@ -156,7 +160,7 @@ def effect_text(numbers: Mapping[str, Any]) -> str:
     if not math.isfinite(pose_m + position_m):
         return ""
     pose, position = rough_length(pose_m), rough_length(position_m)
-    return f" Without this fault, poses would change by {pose} and positions by {position}."
+    return f" {condition}, poses would change by {pose} and positions by {position}."
 
 
 def _speed_text(speed_m_s: float) -> str:

@@ -19,7 +19,7 @@ from recon.animal.prior import NONE
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, printable
 from recon.base.numbers import NORMAL_90, counted, rough_length
-from recon.check.codes import EFFECTS, NOTE_IN_REASON, WITHOUT_FAULT, sentence
+from recon.check.codes import EFFECTS, FAULTS, NOTE_IN_REASON, WITHOUT_FAULT, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
 from recon.check.rules import findings_of
 from recon.fit.clip_problem import focal_sigma_of
@@ -270,7 +270,7 @@ def _nothing_against(motion: Motion, position: ExpectedError) -> tuple[str, str]
     that_ran, unchecked = ("", "") if are_all_checked else (" that ran", f", and {_UNCHECKED}")
     beginning = _NOTHING_SPOILS.format(that_ran=that_ran, what="poses" if position.widened_by else "result")
     if position.widened_by:
-        beginning += f", but positions may be off by {rough_length(position.high)} ({position.widened_by})"
+        beginning += f". Positions may be off by up to {rough_length(position.high)} if {position.widened_if}"
     code = position.widened_by or (NO_SERIOUS_FAULT if are_all_checked else SOME_UNCHECKED)
     return f"{beginning}; {count}{unchecked}.", code
 
@@ -300,7 +300,8 @@ def _widened(error: ExpectedError, effect: tuple[float, str], unit_m: float = 1.
     length to which the error is relative, m.
     """
     size, code = effect[0] / unit_m, effect[1]
-    return replace(error, high=math.hypot(error.high, size), widened_by=code if size > error.high else "")
+    code = code if size > error.high else ""
+    return replace(error, high=math.hypot(error.high, size), widened_by=code, widened_if=FAULTS.get(code, ""))
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:

@@ -41,11 +41,13 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     Output(out, "report", True).require((PAGE,))
     fit_report = run_clip(settings_of_sample, out, settings.overwrite, progress)
     page = report(PageSettings(folder=out), progress).data["page"]
-    mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
+    errors = evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv")
+    mpjpe_mm, position_mm = 1000 * errors.mpjpe_m.mean, 1000 * errors.position_m
     answer, analysis = answer_of_fit(fit_report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
     error = (
-        f"Error against the sample's true poses: {quantity(mpjpe_mm, 0, 'mm')} (MPJPE). The expected error is "
-        "calibrated on real clips."
+        f"Compared with the sample's true motion, the pose error is {quantity(mpjpe_mm, 0, 'mm')} (MPJPE) and the "
+        f"position error {quantity(position_mm, 0, 'mm')}. The sample's camera file is exact; the expected errors "
+        "above allow for the errors of real camera files and clips."
     )
     sentences = analysis_sentences(analysis)
     return replace(answer, lines=[*answer.lines, error, *sentences])

@@ -58,6 +58,8 @@ class ExpectedError(Brief):
     high: float
     widened_by: str = ""
     """Code of the finding that widens the interval most; empty if no finding does."""
+    widened_if: str = ""
+    """Clause that completes "if" and says what this finding suspects, such as "the focal length is wrong"."""
 
     def __repr__(self) -> str:
         return f"ExpectedError({self.expected:.3g}, 90 %: {self.low:.3g} to {self.high:.3g})"
@@ -69,7 +71,7 @@ class ExpectedError(Brief):
         If the interval begins close to zero, the text gives only its upper end.
         """
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
-        cause = f", because the finding {self.widened_by} may be right" if self.widened_by else ""
+        cause = f", if {self.widened_if or f'the finding {self.widened_by} is right'}" if self.widened_by else ""
         ends = error.expected, error.low, error.high
         return interval(*ends, unit, level="90 %", least=_NEGLIGIBLE * error.high, remark=cause)
 

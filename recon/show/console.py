@@ -52,7 +52,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
             colour = {"error": "red", "warning": "yellow"}[finding["severity"]]
             table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
     if verdict["level"] == "use":
-        for text in _largest_notes(further):
+        for text in _largest_notes(further, verdict.get("reason_code")):
             table.add_row(Text("note", style="bold"), text)
     for label, text in report["lines"][verdict_count:]:
         are_all_used = label == "keypoints" and text.endswith(" used")  # the usual case needs no line
@@ -73,10 +73,11 @@ def reason_finding(report: Mapping[str, Any]) -> int | None:
     return None
 
 
-def _largest_notes(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+def _largest_notes(findings: Sequence[Mapping[str, Any]], reason_code: str | None) -> list[str]:
     """Return the first sentences of up to `NOTES` of the notes among the findings.
 
-    The notes with the largest effects are chosen. Notes with an unknown effect come last.
+    The notes with the largest effects are chosen. Notes with an unknown effect come last. The effect of the note with
+    the code of the verdict's reason is part of this reason, and not repeated.
     """
     notes = []
     for item in findings:
@@ -84,6 +85,7 @@ def _largest_notes(findings: Sequence[Mapping[str, Any]]) -> list[str]:
             pose_m, position_m = (item["numbers"].get(name) or 0.0 for name in EFFECTS)
             effect_m = max(pose_m, position_m)
             affected = "pose" if pose_m > position_m else "position"
-            effect = f" ({affected} by {rough_length(effect_m)})" if effect_m else ""
+            is_stated = item["code"] == reason_code or not effect_m
+            effect = "" if is_stated else f" ({affected} by up to {rough_length(effect_m)})"
             notes.append((effect_m, item["text"].partition(". ")[0].rstrip(".") + effect + "."))
     return [text for _, text in sorted(notes, key=lambda note: -note[0])[:NOTES]]

@@ -65,7 +65,7 @@ def test_results_are_shown_in_one_line(sample_fit: Motion, tmp_path: Path):
     assert {type(one).__name__: len(repr(one)) for one in results if len(repr(one)) > 300 or "\n" in repr(one)} == {}
     assert "joints_m=array (60, 24, 3)" in repr(solution)
     assert repr(motion.verdict).startswith(
-        "Verdict(level='use', reason='No check found a fault that spoils the poses, but positions may be off ..."
+        "Verdict(level='use', reason='No check found a fault that spoils the poses. Positions may be off by u..."
     )
     assert repr(clips[0].settings).endswith("fps=60.0)")
 

@@ -14,7 +14,7 @@ from command_line import says
 
 from recon import Motion
 from recon.check import rules
-from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, sentence
+from recon.check.codes import CODES, FAULTS, FLAG_OF, FLAGS, finding, sentence
 from recon.check.rules import detections_not_explained, findings_of, likelihoods_low, no_pose
 from recon.check.verdict import add_verdict
 from recon.fit.result import Finding
@@ -76,8 +76,10 @@ SENTENCES = {
         {"late_frames": 2.5, "sigmas": 3.1, "foreign": "fore half"},
     ),
     "focal_length": (
-        "fit that focal length better than the camera's, by 1.2 standard",
-        {"factor": 0.67, "sigmas": 1.23},
+        "of about 0.7 times the given one better (by 1.2 standard deviations): distance, position and speed may be "
+        "wrong. With a focal length at the end of its 90 % interval, poses would change by 12 mm and positions by "
+        "4.0 m. Check the focal length",
+        {"factor": 0.67, "sigmas": 1.23, "pose_effect_m": 0.012, "position_effect_m": 4.0},
     ),
     "picture_zooms": ("better if the picture zooms in: distance", {"way": "in"}),
     "path_jolts": ("implausible for an animal (its heading)", {"of": "heading", "cost": 1.2}),
@@ -223,6 +225,14 @@ SENTENCES = {
     "flight_against_gravity": ("upwards by 3.1 ± 1.2 m/s², where free", {"up_m_s2": 3.1, "sigma_m_s2": 1.2}),
     "camera_agreement": ("Cameras agree up to 1.6 times", {"max_level": 1.6, **AGAINST}),
 }
+
+
+def test_each_finding_with_an_effect_has_a_clause_for_the_expected_error():
+    """The expected error that an effect increases says "if the focal length is wrong", not the finding's code."""
+    with_effect = {code for code, (_, text) in CODES.items() if "effect}" in text}
+    of_one_camera = {"left_right_swap", "left_right_swap_possible", "clock_drifts"}  # their messages do not state it
+    assert {*FAULTS} == with_effect | of_one_camera
+    assert all(clause[0].islower() and not clause.endswith(".") for clause in FAULTS.values())
 
 
 @pytest.mark.parametrize("code", CODES)

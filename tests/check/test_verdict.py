@@ -121,7 +121,11 @@ def test_a_finding_that_dominates_an_interval_is_named(whole_results, effect_m, 
     assert verdict.pose_m is not None
     assert verdict.position_m is not None
     assert (verdict.pose_m.widened_by, verdict.position_m.widened_by) == ("", "focal_length" if named else "")
-    assert ("focal_length" in verdict.lines[1]) == named
+    assert verdict.position_m.widened_if == ("the focal length is wrong" if named else "")
+    assert verdict.lines[1].endswith(", if the focal length is wrong)") == named
+    assert "focal_length" not in " ".join(verdict.lines)
+    older = replace(verdict.position_m, widened_if="")  # in results that do not have the clause
+    assert ("if the finding focal_length is right)" in older.in_words) == named
     assert verdict.position_m.high > effect_m
 
 
@@ -196,7 +200,8 @@ def test_a_note_on_the_position_is_in_the_reason(small_trajectory, prior, some):
     verdict = _verdict(replace(small_trajectory, solution=solution, findings=(note,)))
     assert verdict.level == "use"
     assert verdict.reason.startswith(
-        f"No check{some} found a fault that spoils the poses, but positions may be off by 9.0 m (picture_zooms); 1 note"
+        f"No check{some} found a fault that spoils the poses. Positions may be off by up to 9.0 m if the camera zooms; "
+        "1 note"
     )
     assert verdict.reason_code == "picture_zooms"
     assert reason_in_list(verdict.reason, verdict.reason_code) == verdict.reason

@@ -863,7 +863,8 @@ def test_demo_writes_results_and_prints_the_error(tmp_path):
     assert "Gait: transverse gallop" in ended.out
     error_mm = 1000 * evaluate_files(tmp_path / "demo" / "pose3d.csv", SAMPLES / "whole_truth.csv").mpjpe_m.mean
     assert error_mm < 60
-    assert says(ended.out, f"{error_mm:.0f} mm (MPJPE)")
+    assert says(ended.out, f"pose error is {error_mm:.0f} mm (MPJPE)", "camera file is exact")
+    assert "focal_length" not in ended.out
     refused(["demo", "--out", tmp_path / "demo"], ("--out", "folder", ["pose3d.csv", tmp_path / "demo"], "--overwrite"))
 
 

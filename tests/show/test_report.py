@@ -568,14 +568,17 @@ def test_a_terminal_names_the_two_notes_with_the_largest_effect(trajectory):
         }
         for name, effect_m in effects_m.items()
     ]
-    for level in ("use", "check"):
+    stated = {"level": "use", "reason": "It is so.", "reason_code": "picture_zooms"}  # with its effect
+    for verdict in ({"level": "use", "reason": "It is so."}, {"level": "check", "reason": "It is so."}, stated):
         out = StringIO()
-        verdict = {"level": level, "reason": "It is so."}
         Console(file=out, width=160).print(console_summary(trajectory | {"verdict": verdict, "findings": findings}))
         notes = [line.split(maxsplit=1)[1].strip() for line in out.getvalue().splitlines() if line.startswith("note ")]
-        assert notes == (
-            ["Second thing (position by 1.5 m).", "Third thing (position by 0.30 m)."] if level == "use" else []
-        )
+        if verdict["level"] == "check":
+            assert notes == []
+        elif verdict is stated:
+            assert notes == ["Second thing.", "Third thing."]
+        else:
+            assert notes == ["Second thing (position by up to 1.5 m).", "Third thing (position by up to 0.30 m)."]
 
 
 @pytest.mark.parametrize(
