@@ -42,10 +42,10 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import cholesky_banded
-from scipy.linalg.blas import dtrsm
+from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtbtrs, dtrtri
 
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array
 
 _REGULARISATION = 1e-9
 """Relative increase of the diagonal with which `factored` retries if `bounded` and H is not positive definite."""
@@ -283,8 +283,8 @@ class _Factor:
 
     @property
     def width(self) -> int:
-        """Return the number of rows of L in W frames, or in one frame if W is 0."""
-        return max(len(self.band) - self.D, self.D)
+        """Return the number of rows of L in W frames."""
+        return len(self.band) - self.D
 
     def first_frames(self, n: int) -> _Factor:
         """Return the columns of the first n frames, including the rows of the W frames that follow."""
@@ -302,49 +302,51 @@ class _Factor:
         flat = np.reshape(right, (self.band.shape[1], -1))
         if flat.shape[1] >= _MIN_BLOCK_COLUMNS:
             solution = np.ascontiguousarray(flat) if overwrite else np.array(flat, dtype=float, order="C")
-            self._solve_in_blocks(solution, transposed)
+            self._solve_frame_by_frame(solution.reshape(-1, self.D, flat.shape[1]), transposed)
             return solution.reshape(right.shape)
         return dtbtrs(self.band, flat, uplo="L", trans=transposed)[0].reshape(right.shape)
 
-    def _solve_in_blocks(self, solution: Array, transposed: Literal["N", "T"]) -> None:
-        """Solve for right-hand sides (TD, K) in place, in block rows that are as wide as the band."""
-        size, count = self.band.shape
-        starts = [*range(0, count, size)]
-        for first in starts if transposed == "N" else reversed(starts):
-            stop = min(first + size, count)
-            factor = np.asfortranarray(self._entries(first, first, stop - first))
-            block, rest = solution[first:stop], solution[stop : stop + self.width]
+    def _solve_frame_by_frame(self, solution: Array, transposed: Literal["N", "T"]) -> None:
+        """Solve for right-hand sides (T, D, K) in place."""
+        T, _, K = solution.shape
+        W, roots, below = self.width // self.D, self._roots, self._columns[:, self.D :]
+        for t in range(T) if transposed == "N" else range(T - 1, -1, -1):
+            frame, later = solution[t], solution[t + 1 : t + 1 + W].reshape(-1, K)
             if transposed == "N":
-                dtrsm(1.0, factor, block.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-                if len(rest):
-                    rest -= self.below(stop - self.width)[: len(rest)] @ block[-self.width :]
+                dtrmm(1.0, roots[t].T, frame.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+                later -= below[t, : len(later)] @ frame
             else:
-                if len(rest):
-                    block[-self.width :] -= self.below(stop - self.width)[: len(rest)].T @ rest
-                dtrsm(1.0, factor, block.T, side=1, lower=1, overwrite_b=1)
-
-    def _entries(self, row: int, column: int, count: int) -> Array:
-        """Return a view of the rows and columns of L that begin at a row and a column, (count, count).
-
-        Entry (i, j) of L is `band[i - j, j]`, so these entries are a view of the band with a shorter column stride.
-        Entries outside the band have arbitrary values.
-        """
-        row_stride, column_stride = self.band.strides
-        strides = row_stride, column_stride - row_stride
-        return np.lib.stride_tricks.as_strided(self.band[row - column :, column:], (count, count), strides)
-
-    def below(self, column: int) -> Array:
-        """Return the block (width, width) of L below the diagonal block whose first column is given."""
-        return np.where(self._is_below_in_band, self._entries(column + self.width, column, self.width), 0.0)
-
-    def below_end(self) -> Array:
-        """Return the block of L between the last W frames and the W frames after them, (width, width)."""
-        return self.below(self.band.shape[1] - self.width)
+                frame -= below[t, : len(later)].T @ later
+                dtrmm(1.0, roots[t].T, frame.T, side=1, lower=1, overwrite_b=1)
 
     @cached_property
-    def _is_below_in_band(self) -> Bools:
-        """Return a mask of the entries of `below` that lie in the band, (width, width)."""
-        return np.subtract.outer(np.arange(self.width), np.arange(self.width)) < len(self.band) - self.width
+    def _roots(self) -> Array:
+        """Return L_tt^-T of each frame, which are upper triangles, (T, D, D)."""
+        roots = np.triu(self._columns[:, : self.D].swapaxes(1, 2))
+        for root in roots:
+            dtrtri(root.T, lower=1, overwrite_c=1)
+        return roots
+
+    @property
+    def _columns(self) -> Array:
+        """Return a view of the blocks L_tt, L_t+1,t, ..., L_t+W,t of each frame t, one below the other, (T, (W+1)D, D).
+
+        Entry (i, j) of L is `band[i - j, j]`, so the view is the band with a shorter column stride. Entries above the
+        diagonal of L have arbitrary values.
+        """
+        D, (row_stride, column_stride) = self.D, self.band.strides
+        shape = (self.band.shape[1] // D, len(self.band), D)
+        return np.lib.stride_tricks.as_strided(
+            self.band, shape, (D * column_stride, row_stride, column_stride - row_stride)
+        )
+
+    def below_end(self) -> Array:
+        """Return the block of L between the last W frames and the W frames after them, (WD, WD)."""
+        D, W = self.D, self.width // self.D
+        block = np.zeros((W, D, W, D))
+        for i, column in enumerate(self._columns[-W:]):
+            block[: i + 1, :, i] = column.reshape(W + 1, D, D)[W - i :]
+        return block.reshape(W * D, W * D)
 
     def marginal_blocks(self, later: Array | None = None) -> Array:
         """Return the blocks of the inverse near the diagonal, (T, W+1, D, D).
@@ -357,32 +359,28 @@ class _Factor:
 
     def first_marginals(self) -> Array:
         """Return the covariance (WD, WD) of the first W frames."""
-        width = len(self.band) - self.D
-        return self._marginals(None)[1][:width, :width]
+        return self._marginals(None)[1][: self.width, : self.width]
 
     def _marginals(self, later: Array | None) -> tuple[Array, Array]:
         """Return `marginal_blocks`, and the covariance ((W+1)D, (W+1)D) of the first W + 1 frames."""
-        D, P = self.D, len(self.band)
-        T = self.band.shape[1] // D
-        columns = self.band.T.reshape(T, D, P)
-        rows = np.zeros((T, D, P))  # rows[t] is L_tt', L_t+1,t', ... at first, and Z[t, t], Z[t, later] in the end
-        for j in range(D):
-            rows[:, j, j:] = columns[:, j, : P - j]
-        window = np.zeros((P, P))  # Z of the frames t, later, which is zero for frames after the last one
-        covariance_later = window[: P - D, : P - D]
+        D, P, roots, below = self.D, len(self.band), self._roots, self._columns[:, self.D :]
+        T = len(roots)
+        rows = np.empty((T, D, P))  # Z[t, t], Z[t, later]
+        window, last = np.zeros((P, P)), np.zeros((P, P))  # Z of frames t, later, which is zero beyond the last frame
         if later is not None:
-            covariance_later[:] = later
+            last[: self.width, : self.width] = later
         for t in range(T - 1, -1, -1):
-            root = dtrtri(rows[t, :, :D].T, lower=1)[0].T  # L_tt' is an upper triangle
-            gain = -root @ rows[t, :, D:]
-            across = gain @ covariance_later
-            block = root @ root.T + across @ gain.T
-            window[D:, D:] = covariance_later
+            covariance_later = last[: self.width, : self.width]
+            minus_gain = roots[t] @ below[t].T
+            across = minus_gain @ covariance_later
+            block = roots[t] @ roots[t].T + across @ minus_gain.T
             window[:D, :D] = (block + block.T) / 2  # an antisymmetric rounding error would grow from frame to frame
-            window[:D, D:] = across
-            window[D:, :D] = across.T
+            np.negative(across, out=window[:D, D:])
+            window[D:, :D] = window[:D, D:].T
+            window[D:, D:] = covariance_later
             rows[t] = window[:D]
-        return rows.reshape(T, D, P // D, D).transpose(0, 2, 3, 1), window
+            window, last = last, window
+        return rows.reshape(T, D, P // D, D).transpose(0, 2, 3, 1), last
 
 
 def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False) -> _Factor:
