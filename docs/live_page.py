@@ -1,6 +1,6 @@
-"""Make the report of the simulated film that the site's home page shows (`python docs/live_page.py FOLDER`).
+"""Make the report of the simulated video that the site's home page shows (`python docs/live_page.py FOLDER`).
 
-The film is `data/samples/rendered.mp4`. FOLDER gets `report.html` and nothing else.
+The video is `data/samples/rendered.mp4`. FOLDER gets `report.html` and nothing else.
 """
 
 from __future__ import annotations

@@ -175,7 +175,7 @@ def pages(args: argparse.Namespace, folder: Path) -> None:
     (folder / "long.csv").write_text("\n".join(points[:3] + long) + "\n", encoding="utf-8")
     of_sample = ("--camera", SAMPLES / "camera.toml", "--fps", 60)
     clips = {
-        "rendered film": ((SAMPLES / "rendered_points.csv", *FILM_FIT, "--fps", 120), ("--video", FILM)),
+        "rendered video": ((SAMPLES / "rendered_points.csv", *FILM_FIT, "--fps", 120), ("--video", FILM)),
         "sample": ((SAMPLES / "whole.csv", *of_sample), ()),
         "20 samples": ((folder / "long.csv", *of_sample), ()),
     }
@@ -225,7 +225,7 @@ def batch_of_copies(clips: int, folder: Path) -> Path:
 def run(args: argparse.Namespace, folder: Path) -> None:
     """Compare the times of `recon run`, of one command for each stage, and of a second `recon run`."""
     if args.model is None:
-        raise SystemExit("--model: a network that `recon train` made on the rendered film")
+        raise SystemExit("--model: a network that `recon train` made on the rendered video")
     settings = (*FILM_FIT, "--set", "likelihood-min=0")  # accept all points, however good the network is
     stages = {
         "detect": ("predict", FILM, "--model", args.model.absolute(), "--out", "points.csv"),

@@ -79,7 +79,7 @@ def main() -> None:
             found = run_circle(folder, settings, samples=out / "film", turns=True, tilt_deg=pan.tilt_deg, **how)
             print_row(row("panning", seed, found, pan.rotations, folder))
             ratios.append(found.predicted_m / before.predicted_m)
-        print(f"\nMPJPE {', '.join(f'{ratio:.2f}' for ratio in ratios)} times the still film's")
+        print(f"\nMPJPE {', '.join(f'{ratio:.2f}' for ratio in ratios)} times the video of a static camera's")
 
 
 if __name__ == "__main__":

@@ -105,7 +105,7 @@ class FitSettings(Settings):
     """Unit of the cameras' positions in the file, which is often mm for Anipose."""
     camera_track: Annotated[OneOrMore[File] | None, _TRAJECTORY] = None
     """Pose of a moving camera in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's reconstruction.json or
-    shots.geojson. The file name must contain the camera's name. (default: cameras stand still)
+    shots.geojson. The file name must contain the camera's name. (default: the cameras are static)
     """
     fps: Annotated[Positive | None, Option(FPS)] = None
     skeleton: NameOrFile | None = None
@@ -124,7 +124,7 @@ class FitSettings(Settings):
     """Size of the video in pixels, such as 1920x1080, if the camera file lacks it."""
     up: Annotated[str | None, _RARE] = None
     """Upward axis of the calibration's world, such as z or -y, or a direction, such as 0,-0.9,0.4, or first-camera if
-    the first camera is level. (default: as stated in the file, or upwards from the ground on which the feet stand)
+    the first camera is level. (default: as stated in the file, or upwards from the ground under the feet in stance)
     """
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
     """Angle in degrees by which the camera looks down, such as 5, if there are no extrinsics. (default: level)"""
@@ -256,7 +256,7 @@ class FitSettings(Settings):
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
         for name in ("refine_cameras", "focal_sigma"):
             if getattr(self, name) and self.camera_track is not None:
-                yield Problem("settings", name, "a camera track as well", "cameras that stand still")
+                yield Problem("settings", name, "a camera track as well", "static cameras")
         if self.cameras_known and self.refine_cameras:
             yield Problem("settings", "cameras_known", "refine_cameras as well", "only one of the two")
         if self.height_m is not None and self.size is not None:

@@ -181,7 +181,7 @@ def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> Clip
     views, options = views_of(inputs.sources), settings.trajectory_options()
     problem = ClipProblem.from_views(views, inputs.body, inputs.prior, inputs.fps, options)
     if not problem.shows_size:
-        actual = f"one camera that stands still, {inputs.sources[0].camera.name}"
+        actual = f"one static camera, {inputs.sources[0].camera.name}"
         raise InputError(Problem(path, "cameras", actual, "several cameras, or a moving one, to measure lengths"))
     if pose is None:
         return problem

@@ -374,7 +374,7 @@ class _Commands(_Group):
 
 app = typer.Typer(
     cls=_Commands,
-    help="Measure the 3D motion of a running animal, in metres, from one camera or several, still or moving.",
+    help="Measure the 3D motion of a running animal, in metres, from one camera or several, static or moving.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings=HELP,

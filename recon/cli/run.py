@@ -84,7 +84,7 @@ class _RunSettings(Settings):
     corrections: Path | None = None
     """Detections that were corrected by hand, for one video. (default: corrections.csv in --out, if there is one)"""
     camera_motion: Literal["turns", "zooms"] | None = None
-    """Motion of the camera, to be found from the background: turns or zooms. (default: the camera stands still)"""
+    """Motion of the camera, to be found from the background: turns or zooms. (default: the camera is static)"""
     start: Annotated[Stage | None, Option(metavar="STAGE", name="--from")] = None
     """Repeat this stage and all later ones."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0

@@ -381,7 +381,7 @@ def name_gait(
         # too uncertain.
         longest_s = [max(s.duration_s for s in all_stances if s.foot == foot) for foot in FEET]
         if name != "unknown" and median(longest_s) > 0.5 * period:
-            name, criterion = "unknown", f"{criterion}; but the feet stand for more than half of the period"
+            name, criterion = "unknown", f"{criterion}; but the feet are in stance for more than half of the period"
     if (
         name in ("walk", "trot", "pace")
         and 1 - DUTY_MAJORITY < (fraction := float(np.mean(duties > 0.5))) < DUTY_MAJORITY

@@ -101,7 +101,7 @@ def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Ite
         frequency = quantity_text(quantities["stride_frequency_hz"], "Hz")
         low, high = quantities["duty_factor"].interval
     yield (
-        f"Strides are {length_m} long, {frequency}, averaged over {_strides_text(gait)}; a foot stands "
+        f"Strides are {length_m} long, {frequency}, averaged over {_strides_text(gait)}; a foot is in stance "
         f"{percent(gait.name.duty_factor)} of the time (90 %: {percent_range(low, high)})."
     )
     duration_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)

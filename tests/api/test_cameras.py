@@ -325,7 +325,7 @@ def test_only_several_static_cameras_are_refined(runs):
         settings(runs, 1, refine_cameras=True)
     with refusal(("settings", "cameras_known", "refine_cameras as well", "only one of the two")):
         settings(runs, 1, 2, refine_cameras=True, cameras_known=True)
-    with refusal(("settings", "refine_cameras", "camera track", "stand still")):
+    with refusal(("settings", "refine_cameras", "camera track", "static cameras")):
         settings(runs, 1, 2, refine_cameras=True, camera_track=["cam1.csv"])
 
 

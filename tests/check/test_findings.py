@@ -83,7 +83,7 @@ SENTENCES = {
     ),
     "picture_zooms": ("better if the picture zooms in: distance", {"way": "in"}),
     "path_jolts": ("implausible for an animal (its heading)", {"of": "heading", "cost": 1.2}),
-    "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
+    "ground_elsewhere": ("are at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
     "camera_unit": (
         "is 100 times as high above the world's origin as above the animal's feet",
         {"unit": "cm", "times": 100.2},

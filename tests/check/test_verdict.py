@@ -133,7 +133,9 @@ def test_the_summary_states_what_one_camera_cannot_determine(small_trajectory):
     motion = replace(add_verdict(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
     known = replace(Verdict("use", "It is so."), position_m=ExpectedError(0.1, 0.05, 0.2))
     said = dict(input_sections.verdict_lines(replace(motion, verdict=known), {}))["assumed"]
-    assert says(said, "pinhole", "px ± 10 %", "stands still", "30 frames per second", "expected size ±", "One camera")
+    assert says(
+        said, "pinhole", "px ± 10 %", "a static camera", "30 frames per second", "expected size ±", "One camera"
+    )
     given = replace(motion, verdict=known, settings={"hfov_deg": None})
     assert says(dict(input_sections.verdict_lines(given, {}))["assumed"], "px ± 2 %")
     assert "assumed" not in dict(

@@ -313,7 +313,7 @@ def test_a_video_of_another_size_is_refused_before_the_fit(film):
 
 @pytest.mark.usefixtures("undrawn")
 def test_all_stages_run_on_a_rendered_film(tmp_path, monkeypatch):
-    """All stages run on the beginning of the rendered film, write the listed files, and are done afterwards."""
+    """All stages run on the beginning of the rendered video, write the listed files, and are done afterwards."""
     page = '<meta name="generator" content="recon">'
     monkeypatch.setattr(
         "recon.cli.look.clip_page", lambda _, stills, behind, files, camera, *more: f"{page} {behind} {files}"

@@ -194,7 +194,7 @@ def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
 
 
 def test_panning_camera_is_as_accurate_as_a_still_camera():
-    """A panning camera has the rays of a still camera, and gives the same motion and uncertainty."""
+    """A panning camera has the rays of a static camera, and gives the same motion and uncertainty."""
     points = truth_m()
     T = len(points)
     still = still_view(CAMERA, seen(run()), np.ones(points.shape[:2]))

@@ -379,7 +379,7 @@ def panned(runs: Path) -> dict[str, Any]:
 
 
 def test_a_camera_that_pans_gives_the_motion_of_a_still_camera(tmp_path):
-    """A panning camera and a still camera give the same motion if the height of the camera is not used."""
+    """A panning camera and a static camera give the same motion if the height of the camera is not used."""
     options: dict[str, Any] = {"ground": "none"}
     pan = fit_clip(FitSettings(**panned(tmp_path), **options))
     still = fit_clip(
@@ -408,7 +408,7 @@ def test_command(tmp_path):
     assert report["assumptions"]["camera_moves"] is True
     assert report["assumptions"]["camera_level"] is False
     assert any(says(said, "metres with z up") for said in report["assumptions"]["sentences"])
-    assert not any("stands still" in said for said in report["assumptions"]["sentences"])
+    assert not any("static" in said for said in report["assumptions"]["sentences"])
     assert report["cameras"][0]["track"]["frames_without_pose"] == 5
     results = Motion.load(out)
     truth = SAMPLES / "whole_truth.csv"

@@ -59,7 +59,7 @@ def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
     assert not [o for o in outputs if o.output_type == "error" or o.get("name") == "stderr"]
     if path == RECORDED:  # no output from recordings is saved
-        assert any("no recordings: the rendered film of recon.testing" in text_of(cell) for cell in code)
+        assert any("no recordings: the rendered video of recon.testing" in text_of(cell) for cell in code)
     assert figures(outputs) >= 4
     assert "/tmp" not in "".join(text_of(cell) for cell in code)
     assert path.stat().st_size < 600_000

@@ -677,7 +677,7 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert several["size"]["from"] == ["prior", "views"]
     assert dict(lines)["size"].endswith("the positions of the cameras")
     sentences = " ".join(several["assumptions"]["sentences"])
-    assert says(sentences, "measured by ", ": 1.00 ± ", "cameras stand still")
+    assert says(sentences, "measured by ", ": 1.00 ± ", "cameras are static")
 
 
 @pytest.mark.parametrize("method", ["report", "trajectory", "several"])

@@ -1,4 +1,4 @@
-"""Test that the true positions of the rendered film agree with its pictures."""
+"""Test that the true positions of the rendered video agree with its pictures."""
 
 from __future__ import annotations
 

@@ -253,7 +253,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     speed_options = {"width_mm": SPEED_MM, "unknown": analysis.why_no_speed is not None, "acceleration": not reason}
     yield _group("Speed", text, [speeds({name: reference_motion}, **speed_options)], "narrow")
     if gait is not None:
-        text = "Times at which each foot stands, determined from its speed over the ground and its height."
+        text = "Times at which each foot is in stance, determined from its speed over the ground and its height."
         yield _group("Footfalls", text, [footfall({"gait": gait}, motion.fps)])
         if analysis.flexion_curves:
             text = (

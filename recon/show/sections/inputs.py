@@ -38,7 +38,7 @@ def _assumed_by_one_camera(motion: Motion) -> str:
     camera, focal_sigma = motion.camera, focal_sigma_of(motion.settings, 1)
     known_to = f" ± {percent(focal_sigma)}" if focal_sigma else ""
     lens = f"a {camera.model} lens with a focal length of {quantity(camera.matrix[0, 0], 0, 'px')}{known_to}"
-    moves = "moves as in its track" if motion.camera_moves else "stands still"
+    moving_or_static = "a camera that moves as in its track" if motion.camera_moves else "a static camera"
     animal = f"the lengths of {motion.body.name}"
     if isinstance(motion.solution, TrajectorySolution):
         solution = motion.solution
@@ -47,7 +47,7 @@ def _assumed_by_one_camera(motion: Motion) -> str:
         else:
             animal = f"an animal of the expected size ± {percent(solution.size_prior_sigma)}"
     return (
-        f"{lens[0].upper()}{lens[1:]}, a camera that {moves}, {motion.fps:g} frames per second, and {animal}. One "
+        f"{lens[0].upper()}{lens[1:]}, {moving_or_static}, {motion.fps:g} frames per second, and {animal}. One "
         "camera cannot check these, nor whether the video was cropped or comes from another camera."
     )
 
@@ -148,9 +148,9 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
     """Yield sentences that state the assumptions of all methods."""
     camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
     is_single = len(motion.pictures) == 1
-    subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one of them pans")
+    subject, condition = ("The camera is", "it pans") if is_single else ("The cameras are", "one of them pans")
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
-        yield f"{subject} still: if {condition} or moves, its movement is part of the path."
+        yield f"{subject} static: if {condition} or moves, its movement is part of the path."
     for picture in motion.pictures:
         if picture.source.moves:
             yield (

@@ -18,7 +18,7 @@ at most 25 times a second.
 - `angles/...` has the angles in degrees as `left`, `right` and `middle`, split if there are many. `speed` is the speed
   of the reference point in m/s. `residuals` are in px over all cameras, the median of a frame and the largest one
   without outliers.
-- `uncertainty` is in m. States over time show which frames have each flag, and when each foot stands.
+- `uncertainty` is in m. States over time show which frames have each flag, and when each foot is in stance.
 - If an analysis is given, `analysis/...` has its curves, and `world/forces` arrows under the feet, with the path
   `world/forces/centre_of_mass`.
 
@@ -299,8 +299,8 @@ MAX_LINES = 4
 def states(motion: Motion, standing: Bools) -> dict[str, tuple[str, scenes.Colour, Bools]]:
     """Return label, colour and mask of frames (T,) of each flag and of each foot's stances, by entity.
 
-    `standing` (T, F) states in which frames each foot stands. Names of entities have no parent, which the viewer would
-    show, and no blanks, which the viewer would escape.
+    `standing` (T, F) states in which frames each foot is in stance. Names of entities have no parent, which the viewer
+    would show, and no blanks, which the viewer would escape.
     """
     flag_names = dict.fromkeys(flag for frame_flags in motion.flags for flag in frame_flags)
     flags = {flag: np.array([flag in frame_flags for frame_flags in motion.flags]) for flag in flag_names}
