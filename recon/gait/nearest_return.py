@@ -60,7 +60,7 @@ def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf
         return None
     start, end = (int(frames[row]) for row in rows)
     near_end = np.linspace(max(end - 1, start), min(end + 1, frames[-1]), 2 * _STEPS + 1)
-    gaps = np.linalg.norm(cubic_spline(frames, points)(near_end, 0) - path_m[start], axis=1)
+    gaps = np.linalg.norm(cubic_spline(frames, points)(near_end, (0,))[0] - path_m[start], axis=1)
     return start, float(near_end[np.argmin(gaps)])
 
 

@@ -154,10 +154,10 @@ def series_kinematics(
         samples = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
         t, sample_s, lam = time_s[rows], fine_s[samples], np.zeros(d)
         if not smooth:
-            curves[:, samples] = _evaluate(cubic_spline(t, values[rows]), sample_s)
+            curves[:, samples] = cubic_spline(t, values[rows])(sample_s, ORDERS)
         for k in range(d) if smooth else ():
             lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
-            curves[:, samples, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), sample_s)
+            curves[:, samples, k] = _curve(t, values[rows, k], weight[rows, k], lam[k])(sample_s, ORDERS)
         if len(errors) and propagate:
             span_errors = [error[rows] for error in errors]
             sigmas[[*propagate], samples] = _spline_sigmas(t, sample_s, span_errors, weight[rows], lam, propagate)
@@ -175,10 +175,7 @@ def spans_of(time_s: Array, values: Array, max_gap_s: float, min_points: int) ->
 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
-    """Return a smoothing spline of values x (n, ...) at times t (n,), which interpolates them if `lam` is 0.
-
-    The spline is a function of times (M,) and of the order of the derivative.
-    """
+    """Return a smoothing spline of values x (n, ...) at times t (n,), which interpolates them if `lam` is 0."""
     known = np.isfinite(x)
     if x.ndim == 1 and known.sum() > 4:  # errors are unknown in frames without a pose, which the curve bridges
         t, x, weight = t[known], x[known], weight[known]
@@ -186,12 +183,8 @@ def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
         return cubic_spline(t, x)
     from scipy.interpolate import make_smoothing_spline  # slow to import
 
-    return make_smoothing_spline(t, x, weight**2, lam)
-
-
-def _evaluate(curve: Curve, time_s: Array, orders: Sequence[int] = ORDERS) -> Array:
-    """Return the derivatives of O orders of a curve at times (M,), shape (O, M, ...)."""
-    return np.stack([curve(time_s, order) for order in orders])
+    spline = make_smoothing_spline(t, x, weight**2, lam)
+    return lambda time, orders: np.stack([spline(time, order) for order in orders])
 
 
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
@@ -237,7 +230,7 @@ def _spline_sigmas(
     # An error that lasts throughout the clip is propagated like a series of values.
     for lasting in (error for error in errors if error.correlation_s == np.inf):
         curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
-        variance[[*orders]] += np.stack([_evaluate(curve, sample_s, orders) for curve in curves], axis=-1) ** 2
+        variance[[*orders]] += np.stack([curve(sample_s, orders) for curve in curves], axis=-1) ** 2
     errors = [error for error in errors if error.correlation_s < np.inf]
     pieces = [(slice(None), slice(None))] if smooth else [*_windows(t, sample_s)]
     if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
@@ -249,7 +242,7 @@ def _spline_sigmas(
         unit, operator = np.eye(len(t[values])), np.empty(0)
         for k in range(len(lam)):
             if smooth or k == 0:  # an exact spline is the same for all dimensions
-                operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), sample_s[samples], orders)
+                operator = _curve(t[values], unit, weight[values, k], lam[k])(sample_s[samples], orders)
             for error in errors:
                 added = _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
                 variance[:, samples, k][[*orders]] += added
@@ -264,9 +257,8 @@ def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_fram
     """
     width, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
     spline = cubic_spline(step * np.arange(2 * width), np.eye(2 * width))
-    shares = _evaluate(spline, step * (width - 1 + np.arange(per_frame) / per_frame))[:, :, _REACH:-_REACH].reshape(
-        3 * per_frame, width
-    )
+    shares = spline(step * (width - 1 + np.arange(per_frame) / per_frame), ORDERS)[:, :, _REACH:-_REACH]
+    shares = shares.reshape(3 * per_frame, width)
     first, second = np.triu_indices(width)
     products = shares[:, first] * shares[:, second] * np.where(first == second, 1.0, 2.0)
     least = _MIN_PRODUCT * np.max(shares**2, axis=1, keepdims=True)

@@ -6,15 +6,15 @@ down short fits, because it also imports all optimisers of scipy.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import solve_banded
 
 from recon.base.arrays import Array, Index
 
-Curve = Callable[[Array, int], Array]
-"""Function that returns the values (M, ...) of a curve, or its derivative of an order, at times (M,)."""
+Curve = Callable[[Array, Sequence[int]], Array]
+"""Function that returns the derivatives of O orders of a curve at times (M,), shape (O, M, ...); order 0 is a value."""
 MIN_POINTS = 4
 """Minimum number of values required for a cubic spline."""
 
@@ -53,14 +53,17 @@ def cubic_spline(t: Array | Index, values: Array) -> Curve:
     bend = (rate[:-1] + rate[1:] - 2 * slope) / h
     powers = values[:-1], rate[:-1], (slope - rate[:-1]) / h - bend, bend / h
 
-    def curve(time: Array, order: int) -> Array:
+    def curve(time: Array, orders: Sequence[int]) -> Array:
         piece = np.clip(np.searchsorted(t, time, side="right") - 1, 0, len(t) - 2)
         since = (time - t[piece]).reshape(-1, *h.shape[1:])
-        result, power = np.zeros((len(piece), *h.shape[1:])), np.ones_like(since)
-        for exponent in range(order, len(powers)):
-            factor = np.prod(np.arange(exponent - order + 1, exponent + 1, dtype=float))
-            result = result + powers[exponent][piece] * power * factor
-            power = power * since
-        return result
+        factors, since_powers = [power[piece] for power in powers], (1.0, since, since * since, since * since * since)
+        derivatives = []
+        for order in orders:
+            derivative = np.zeros((len(piece), *values.shape[1:]))
+            for exponent in range(order, len(powers)):
+                constant = np.prod(np.arange(exponent - order + 1, exponent + 1, dtype=float))
+                derivative = derivative + factors[exponent] * since_powers[exponent - order] * constant
+            derivatives.append(derivative)
+        return np.stack(derivatives)
 
     return curve

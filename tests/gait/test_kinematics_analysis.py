@@ -17,7 +17,7 @@ from recon.gait.kinematics import (
     sagittal_flexion,
     spine_flexion,
 )
-from recon.gait.series import ORDERS, Errors, _curve, _discrepancy_lam, _evaluate, series_kinematics
+from recon.gait.series import ORDERS, Errors, _curve, _discrepancy_lam, series_kinematics
 from recon.io.common import Pose3D
 from recon.testing.gallop import gallop
 
@@ -93,7 +93,7 @@ def test_deviations_agree_with_many_draws(smooth, correlation_s):
     if smooth:
         weight = 1 / sigma[:, 0]
         lam = _discrepancy_lam(time_s, np.sin(20 * time_s) + noise[:, 0], weight)
-        drawn = _evaluate(_curve(time_s, noise, weight, lam), given.time_s)
+        drawn = _curve(time_s, noise, weight, lam)(given.time_s, ORDERS)
     else:
         many = series_kinematics(time_s, noise)
         drawn = np.stack([many.value, many.rate, many.acceleration])
@@ -114,7 +114,7 @@ def test_deviations_of_a_long_clip_equal_its_whole_spline():
     errors = [Errors(rng.uniform(0.01, 0.02, (450, 1))), Errors(rng.uniform(0.1, 0.2, (450, 1)), 0.1)]
     errors += [Errors(np.cos(9 * time_s)[:, None], np.inf)]
     moved = series_kinematics(time_s, np.sin(time_s)[:, None], errors, oversampling=2)
-    operator = _evaluate(_curve(time_s, np.eye(450), np.ones(450), 0.0), moved.time_s)
+    operator = _curve(time_s, np.eye(450), np.ones(450), 0.0)(moved.time_s, ORDERS)
     smooth = np.exp(-0.5 * ((time_s[:, None] - time_s) / 0.1) ** 2)
     covariance = np.diag(errors[0].sigma[:, 0] ** 2) + errors[1].sigma * smooth * errors[1].sigma[:, 0]
     covariance += errors[2].sigma * errors[2].sigma[:, 0]
