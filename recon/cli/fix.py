@@ -112,6 +112,10 @@ def fix(settings: FixSettings, console: Console) -> Answer:
 def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> Answer:
     folder, video, table = settings.export_labels, settings.video, settings.export_table
     labels_out, table_out = _outputs(settings, path)
+    if not path.exists():
+        actual = "no such file" if settings.out else "no such file: no keypoint has been corrected"
+        expected = f"corrections made with recon fix {shlex.quote(str(settings.folder))}, or their file given to --out"
+        raise InputError(Problem(path, "file", actual, expected))
     clip = CorrectedClip.read(settings.folder, path, number)
     lines, data, files = [], dict[str, object](), list[Path]()
     if labels_out is not None and video is not None:

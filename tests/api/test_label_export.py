@@ -110,6 +110,17 @@ def test_the_corrected_table_has_the_corrections(whole_results: Path, correction
     assert after.confidence[18, after.names.index("r_front_knee")] == 1.0
 
 
+def test_a_result_without_corrections_has_none_to_export(whole_results: Path, tmp_path: Path):
+    file, out = whole_results / "corrections.csv", tmp_path / "corrected.csv"
+    how = f"recon fix {whole_results}"
+    none = (file, "file", "no keypoint has been corrected", [how, "--out"])
+    refused(("fix", whole_results, "--export-table", out), none)
+    elsewhere = tmp_path / "none.csv"
+    absent = (elsewhere, "file", "no such file", [how, "--out"])
+    refused(("fix", whole_results, "--out", elsewhere, "--export-table", out), absent)
+    assert not out.exists()
+
+
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
