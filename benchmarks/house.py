@@ -101,7 +101,7 @@ FUNCTION_WORDS = frozenset(_WORDS.split())
 """Words that do not describe a value, and are therefore not allowed as names."""
 PUBLISHED = {
     "recon/animal/prior_fit.py": {"apart"},  # --apart of `recon prior fit`
-    "recon/api/prior_fit.py": {"apart"},  # the setting of the option --apart
+    "recon/api/model_settings.py": {"apart"},  # the setting of the option --apart
     "recon/base/errors.py": {"found"},  # the field of a problem, in "found ..., expected ..."
     "recon/gait/clip.py": {"given"},  # the stride of a `ClipAnalysis`
     "recon/robotics/climb/plan.py": {"most"},  # a key in recipe files

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from recon import FitSettings, Motion, samples_folder
-from recon.api.analyse import AnalyseSettings
+from recon.api.analysis_settings import AnalyseSettings
 from recon.api.clip_results import run_clip
 from recon.cli.analyse import analyse_command
 from recon.cli.app import app

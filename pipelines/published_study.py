@@ -7,7 +7,6 @@ import tomllib
 from pathlib import Path
 
 import recon
-from recon.ik.clip import IkSettings, run_ik
 from recon.thesis.inspect import read_solver
 
 FILE = Path(__file__).with_suffix(".toml")
@@ -38,6 +37,8 @@ for name, closure in analysis.closures.items():
     print(f"{name}: closes to {closure.angle:.0f} %")
 
 # Solve inverse kinematics of spine and front leg by all methods, with parameters fitted to a stride.
-ik = run_ik(IkSettings(folder=results, compare=True, fitted=True, figures=False, anyway=True, overwrite=True))
+ik = recon.run_ik(
+    recon.IkSettings(folder=results, compare=True, fitted=True, figures=False, anyway=True, overwrite=True)
+)
 for method, row in ik.summary["along_stride"].items():
     print(f"{method}: joints close to {row['least_closure_angle_percent']:.0f} % or more")

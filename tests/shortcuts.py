@@ -41,7 +41,7 @@ def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
         return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
 
-    monkeypatch.setattr("recon.cli.demo.run_clip", copied)
+    monkeypatch.setattr("recon.api.clip_results.run_clip", copied)
     monkeypatch.setattr(
         "recon.cli.demo.report", lambda settings, *more: Answer({"page": settings.folder / "report.html"})
     )
@@ -91,17 +91,18 @@ def shorten_cost_study(patch: pytest.MonkeyPatch) -> None:
 
 def remember_analyses(patch: pytest.MonkeyPatch) -> None:
     """Let `recon analyse`, `compare` and `figure` analyse each motion only once in a process, in any folder."""
-    for module in ("recon.api.analyse", "recon.api.compare", "recon.cli.figure"):
+    for module in ("recon.api.analyse", "recon.api.compare", "recon.gait.clip"):
         patch.setattr(f"{module}.analyse", _remembered_analysis)
 
 
 def _remembered_analysis(motion: Motion, stride_s: tuple[float, float] | None = None) -> gait_clip.ClipAnalysis:
     key = motion.solution.joints_m.tobytes(), motion.frames.tobytes(), motion.fps, motion.file, stride_s
     if key not in _ANALYSES:
-        _ANALYSES[key] = gait_clip.analyse(motion, stride_s)
+        _ANALYSES[key] = _analyse(motion, stride_s)
     return _ANALYSES[key]
 
 
+_analyse = gait_clip.analyse
 _ANALYSES: dict[tuple[object, ...], gait_clip.ClipAnalysis] = {}
 
 

@@ -33,7 +33,8 @@ from trajectory import print_table
 from recon import Body, Camera, FitSettings, Pose3D, fit_clip, load_skeleton, write_camera
 from recon.animal.measured import save_prior
 from recon.animal.prior import prior_from_body
-from recon.api.prior_fit import PriorFitSettings, run_prior_fit
+from recon.api.model_settings import PriorFitSettings
+from recon.api.prior_fit import run_prior_fit
 from recon.fit import constants
 from recon.fit.points import solve_points
 from recon.fit.result import TrajectorySolution

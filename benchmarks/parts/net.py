@@ -35,7 +35,7 @@ from net_large import run_large, write_large_film
 from recon.api.samples import samples_folder
 from recon.io.formats import read_keypoints
 from recon.io.video import video_writer
-from recon.keypoint_net.labels import LabelSource, body_length_px, evaluate_2d, evaluate_2d_files, read_label_file
+from recon.keypoint_net.labels import body_length_px, evaluate_2d, evaluate_2d_files, read_label_file
 from recon.keypoint_net.network import (
     PredictSettings,
     Spec,
@@ -48,7 +48,8 @@ from recon.keypoint_net.network import (
     require_torch,
     run_prediction,
 )
-from recon.keypoint_net.train import TrainSettings, run_training
+from recon.keypoint_net.settings import LabelSource, TrainSettings
+from recon.keypoint_net.train import run_training
 
 FIRST = 50
 """Frame number that the horse's labels use for the video's first frame."""

@@ -17,9 +17,10 @@ from recon.clip import Keypoints
 from recon.gait.evaluation import Evaluation, evaluate_files
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
-from recon.keypoint_net.labels import LabelSource, body_length_px, evaluate_2d, read_label_file
+from recon.keypoint_net.labels import body_length_px, evaluate_2d, read_label_file
 from recon.keypoint_net.network import run_prediction
-from recon.keypoint_net.train import TrainSettings, run_training
+from recon.keypoint_net.settings import LabelSource, TrainSettings
+from recon.keypoint_net.train import run_training
 
 NOISE_PX = 2.0
 """Standard deviation of the noise on the true points, pixels, in the fit used for comparison."""

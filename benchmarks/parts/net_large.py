@@ -15,9 +15,10 @@ import numpy as np
 from recon.clip import Keypoints
 from recon.io.formats import read_keypoints
 from recon.io.video import video_writer
-from recon.keypoint_net.labels import LabelSource, body_length_px, evaluate_2d, read_label_file
+from recon.keypoint_net.labels import body_length_px, evaluate_2d, read_label_file
 from recon.keypoint_net.network import run_prediction
-from recon.keypoint_net.train import TrainSettings, run_training
+from recon.keypoint_net.settings import LabelSource, TrainSettings
+from recon.keypoint_net.train import run_training
 from recon.testing.files import write_keypoints, write_labels
 from recon.testing.film import FPS, film_clip, labelled_frames, render_frames
 

@@ -22,7 +22,7 @@ from net_circle import Circle, run_circle
 from scipy.spatial.transform import Rotation
 
 from recon.io.camera_track import read_camera_track
-from recon.keypoint_net.train import TrainSettings
+from recon.keypoint_net.settings import TrainSettings
 from recon.testing.cameras import panning_camera
 from recon.testing.film import film_clip, panning_film, render_frames, write_film
 

@@ -36,7 +36,8 @@ from recon.animal.chain import load_chain
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.prior_fit import as_one_gaussian
 from recon.api.clip_inputs import arrange
-from recon.api.prior_fit import PriorFitSettings, run_prior_fit
+from recon.api.model_settings import PriorFitSettings
+from recon.api.prior_fit import run_prior_fit
 from recon.clip import View, clean, still_view
 from recon.fit import constants
 from recon.fit.clip_problem import TrajectoryOptions

@@ -6,18 +6,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.api.settings import ANYWAY, STRIDE, StrideTimes
+from recon.api.analysis_settings import AnalyseSettings
 from recon.base.arrays import mean, median
-from recon.base.errors import Problem
 from recon.base.locks import sole_writer
 from recon.base.numbers import counted, percent
 from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
-from recon.base.settings import Option, Positive, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.base.threads import one_thread
 from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUMMARY = "analysis.json"
-FOLDER = "analysis"
-"""Name of the analysis folder inside the results folder, by default."""
 FIGURES_BEGIN = 0.5
 """Progress of an analysis, 0 to 1, when the first figure begins."""
 MAX_REASONS = 3
@@ -44,43 +41,6 @@ MAX_REASONS = 3
 
 MORE_TABLES = {"csv": (), "xlsx": (WORKBOOK,), "long": (LONG, DICTIONARY)}
 """Files that each value of --format adds to the CSV tables."""
-
-
-class AnalyseSettings(Settings):
-    """Settings of `recon analyse`."""
-
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, such as results/clip."""
-    out: Path | None = None
-    """Folder for tables and figures. (default: analysis in DIR)"""
-    stride: Annotated[StrideTimes | None, STRIDE] = None
-    body_mass_kg: Positive | None = None
-    """Body mass of the animal in kg, from which forces are also given in newtons."""
-    belt_speed_m_s: Annotated[Positive | None, Option(name="--belt-speed")] = None
-    """Speed of the treadmill's belt in m/s, such as 1.4, if the fit did not use it."""
-    figures: bool = True
-    """Write figures (PNG and SVG) next to the tables: side view, joint angles, footfalls, speed."""
-    all_figures: bool = False
-    """Write all figures: also poses, vector fields, phase portraits, information, forces, and the body-fixed frame."""
-    tables_format: Annotated[Literal["csv", "xlsx", "long"], Option(name="--format")] = "csv"
-    """Additional tables: xlsx for a workbook, analysis.xlsx, or long for analysis_long.csv, one tidy table with all
-    numbers, and its data dictionary.
-    """
-    decimal_comma: bool = False
-    """Use decimal commas, and semicolons between columns, in the table of --format long."""
-    anyway: Annotated[bool, ANYWAY] = False
-    overwrite: bool = False
-    """Replace an earlier analysis."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield a problem if decimal commas are requested without --format long."""
-        if self.decimal_comma and self.tables_format != "long":
-            yield Problem("--decimal-comma", "table", f"--format {self.tables_format}", "--format long as well")
-
-    @property
-    def out_folder(self) -> Path:
-        """Return the folder for the tables and figures."""
-        return self.folder / FOLDER if self.out is None else self.out
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
+from recon.api.camera_settings import CalibrationSettings
 from recon.base.errors import Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
 from recon.base.outputs import output_file, require_suffix
 from recon.base.progress import Progress, silent
-from recon.base.settings import OneOrMore, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.calibrate.board_calibration import calibrate as solved
 from recon.calibrate.board_calibration import check as checked
 from recon.calibrate.boards import collect, find_views, parse_board
@@ -24,26 +24,6 @@ T = TypeVar("T")
 def _finite(value: T) -> T | None:
     """Return a value, or None for NaN and infinity, which JSON cannot represent."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-class CalibrationSettings(Settings):
-    """Settings of `recon calibrate`."""
-
-    inputs: Annotated[OneOrMore[Path], Option(argument="IMAGES|FOLDER|VIDEO")]
-    """Pictures of a board, folders of pictures, or one video."""
-    board: str
-    """The board: chessboard:9x6:25mm (inner corners, side of a square) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares,
-    sides of square and marker, dictionary; append :legacy for the layout of OpenCV before 4.6).
-    """
-    model: str
-    """Lens model: radtan for most lenses, fisheye for lenses wider than 100 degrees, pinhole for undistorted pictures.
-    """
-    out: Path
-    """Camera file to write, such as camera.toml."""
-    force: bool = False
-    """Write the calibration even if a check refuses it."""
-    overwrite: bool = False
-    """Replace the camera file."""
 
 
 def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:

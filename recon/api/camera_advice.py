@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
 
 from recon.animal.anatomy import joint_and_side, joints_named, suggested_joint
 from recon.animal.body import Body
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
+from recon.api.camera_settings import CameraAdviceSettings
 from recon.base.errors import InputError, Problem
 from recon.base.numbers import percent, quantity
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Number, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_FRACTION
 from recon.io.writing import write_rows
@@ -76,38 +75,6 @@ def direction_text(azimuth_rad: float, elevation_rad: float) -> str:
     height = next((text for limit, text in HEIGHTS if elevation_rad < limit), ABOVE)
     azimuth = quantity(np.degrees(azimuth_rad), 0, "°")
     return f"{direction}, {height} ({azimuth})"
-
-
-class CameraAdviceSettings(Settings):
-    """Settings of `recon camera-advice`."""
-
-    skeleton: str
-    """A built-in skeleton or a TOML file, such as cheetah-24."""
-    out: Path
-    """Folder for the figure, the table and the report."""
-    prior: str | None = None
-    """Motion prior: a built-in name, a file, or none. (default: as for a fit)"""
-    angle: str | None = None
-    """The angle to measure: the flexion of a joint, such as elbow (both sides) or left_elbow, or an angle of the
-    skeleton, such as front_trunk_yaw.
-    """
-    joint: str | None = None
-    """The joint to measure. (default: all)"""
-    cameras: Annotated[Integer, Field(ge=1, le=2)] = 1
-    """Number of cameras: 1, or 2 for the best second camera to add to the best first one."""
-    hfov_deg: Annotated[Number, Field(gt=0, lt=180)] = 60.0
-    """Horizontal field of view in degrees, such as 60."""
-    distance_m: Annotated[Number, Field(gt=0, lt=1e4)] | None = None
-    """Distance from the middle of the animal in metres, such as 8. (default: 4 times the animal's length)"""
-    subject: str | None = None
-    """A measured animal: built-in name or TOML file."""
-    overwrite: bool = False
-    """Replace earlier advice."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield a problem if both an angle and a joint are given."""
-        if self.angle is not None and self.joint is not None:
-            yield Problem("--angle", "value", "--joint as well", "only one of the two, or neither for all joints")
 
 
 def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
-from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from recon.api.settings import FIRST_FRAME, FitSettings
+from recon.api.camera_settings import CameraMotionSettings
+from recon.api.settings import FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
 from recon.base.numbers import counted, percent, quantity
 from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_motion.level import LevelMark, as_level, read_marks, up_at_tilt, up_by_marks
 from recon.calibrate.camera_motion.panorama import panorama, thumbnail
 from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker, TurningMotion
@@ -43,37 +42,6 @@ NOTES = (
     "a rolling shutter is not modelled: in a fast turn, the rows of a picture were exposed at different times",
     "standard deviations are for each axis, relative to the first frame, and assume the lens of the camera file",
 )
-
-
-class CameraMotionSettings(Settings):
-    """Settings of `recon camera-motion`."""
-
-    video: Annotated[Path, Option(argument="VIDEO")]
-    """The video of a turning camera, such as clip.mp4."""
-    camera: Path
-    """The camera's calibration, such as camera.toml. A pose in the file is not used."""
-    out: Path
-    """The track to write, such as track.csv, for --camera-track."""
-    camera_name: str | None = None
-    """Name of the camera, if the file has several."""
-    keypoints: Path | None = None
-    """Keypoints of the animal, which are then excluded from the background."""
-    individual: str | None = None
-    """Name of the animal, if the keypoint file has several."""
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
-    """Angle in degrees by which the camera looks down in the first frame. (default: level on average)"""
-    level_marks: Path | None = None
-    """Table of horizons and verticals (kind,frame,x1,y1,x2,y2), such as level.csv, instead of a tilt."""
-    zoom: bool = False
-    """The camera zooms. The camera file gives the focal length of the first frame."""
-    overwrite: bool = False
-    """Replace the track."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield a problem if both a tilt and level marks are given."""
-        if self.tilt_deg is not None and self.level_marks is not None:
-            yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} with {self.level_marks}", "only one of the two")
 
 
 def settings_for_clip(settings: FitSettings, video: Path, out: Path, **fields: Any) -> CameraMotionSettings:

@@ -15,12 +15,13 @@ from functools import partial
 from itertools import combinations
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from recon.api.analysis_settings import NO_COMPARE_OUT, SPEED_NAMES, CompareSettings
 from recon.api.clip_results import CONFIG
 from recon.api.experiment import (
     ALL,
@@ -33,14 +34,13 @@ from recon.api.experiment import (
     design_of_table,
     model_experiment,
 )
-from recon.api.settings import ANYWAY
 from recon.base.arrays import Array
 from recon.base.documents import read_toml, require_file
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import relative_path, write_bytes
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
-from recon.base.settings import OneOrMore, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.base.tables import write_frame
 from recon.check.codes import names_text
 from recon.check.verdict import usable
@@ -64,65 +64,6 @@ QUANTITIES = {
 }
 """Title of each compared quantity, and whether the quantity is proportional to the animal's size, by column."""
 WITH_SIZE = {name: with_size for name, (_, with_size) in QUANTITIES.items()}
-SPEED_NAMES = "speed", SPEED
-"""Names under which the speed of the run can be given as a covariate."""
-_EXPERIMENT = "An experiment"
-_OUT = "a folder for the tables, the figure and the page"
-
-
-class CompareSettings(Settings):
-    """Settings of `recon compare`."""
-
-    folders: Annotated[OneOrMore[Path], Option(argument="DIR")] = ()
-    """Results folders, or folders of batches. With --plan, also the folder of an earlier comparison, or none."""
-    out: Path | None = None
-    """Folder for the tables, the figure and the page. Required, except with --plan."""
-    table: Path | None = None
-    """CSV table with a column clip (the folders' names) and the column of --by."""
-    by: str | None = None
-    """Column of the table or the design to group the clips by, such as sex (with --design: group)."""
-    design: Annotated[Path | None, Option(panel=_EXPERIMENT)] = None
-    """CSV table with the columns clip, animal, and as needed run, camera, group and covariates; or a batch's manifest
-    with the columns animal, run and group. The results of a run's cameras are joined, and a mixed model separates the
-    variation between animals, runs, strides and measurements.
-    """
-    names: Annotated[str | None, Option(panel=_EXPERIMENT, metavar="PATTERN")] = None
-    """Form of the folders' names, instead of a design, as in {group}-{animal}-{run}-{camera}."""
-    covariate: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="NAME")] = ()
-    """Covariates of the mixed model, such as speed (the speed of the run), or the name of a column of the design."""
-    plan: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="TEXT")] = ()
-    """Report how many animals, runs, strides and cameras an effect needs: with the variances of the folders, as in
-    "effect=0.3 power=0.8", or with given variances, as in "effect=10% mean=4 animal=0.4 run=0.2 stride=0.2
-    measurement=0.15"."""
-    anyway: Annotated[bool, ANYWAY] = False
-    overwrite: bool = False
-    """Replace an earlier comparison."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield problems with options that are missing, or that exclude each other."""
-        is_experiment = self.design is not None or self.names is not None
-        if self.table is not None and is_experiment:
-            yield Problem(
-                "--table", "table", "--design or --names as well", "only one of --table, --design and --names"
-            )
-        elif self.design is not None and self.names is not None:
-            yield Problem("--names", "pattern", "--design as well", "only one of --design and --names")
-        elif (self.table is None) != (self.by is None) and self.design is None:
-            yield Problem("--by", "table", "only one of --table and --by", "both: a table, and a column of this table")
-        if self.covariate and not is_experiment:
-            yield Problem(
-                "--covariate", "design", "no design of the clips", "--design or --names, which identify the animals"
-            )
-        if self.names is not None:
-            for covariate in self.covariate:
-                if covariate not in SPEED_NAMES:
-                    yield Problem(
-                        "--covariate", "name", repr(covariate), "speed, or a column of a table given by --design"
-                    )
-        if not self.folders and not self.plan:
-            yield Problem("DIR", "folders", "nothing", "folders of results, or of batches")
-        if self.out is None and not self.plan:
-            yield Problem("--out", "folder", "nothing", _OUT)
 
 
 @dataclass(frozen=True)
@@ -159,7 +100,7 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
         If the folders, the table or the design cannot be used.
     """
     if settings.out is None:
-        raise InputError(Problem("--out", "folder", "nothing", _OUT))
+        raise InputError(NO_COMPARE_OUT)
     folders = _result_folders(settings.folders)
     names = [*folders]
     design = _design(settings, names)

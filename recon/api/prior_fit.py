@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +17,13 @@ from recon.animal.prior import MotionPrior, mean_speed_m_s
 from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, fit_prior, log_likelihood
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.batch_inputs import file_names
-from recon.api.settings import ANYWAY
+from recon.api.model_settings import PriorFitSettings
 from recon.base.arrays import Array
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.numbers import counted
 from recon.base.outputs import output_file, require_suffix
-from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.check.verdict import usable
 from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points
@@ -35,38 +35,6 @@ Segment = tuple[str, Array, float]
 """Name, states (T, D) and frame rate (Hz) of a segment of motion."""
 _Files = Mapping[Path, Mapping[str, Pose3D]]
 """Poses, keyed by file and by the name of a segment in the file."""
-
-
-class PriorFitSettings(Settings):
-    """Settings of `recon prior fit`."""
-
-    poses: Annotated[OneOrMore[Path], Option(argument="POSES")]
-    """Results of recon fit, or 3D poses such as pose3d.csv: metres, z up."""
-    out: Path
-    """File to write the prior to, such as my-dog.npz."""
-    skeleton: str | None = None
-    """Skeleton of 3D poses, such as cheetah-24. (default: the results' skeleton)"""
-    fps: str | None = None
-    """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one rate per segment."""
-    subject: str | None = None
-    """Measured animal, given by its name, such as phantom, or by a TOML file."""
-    estimate_size: bool = False
-    """Scale the skeleton to the animal in each file."""
-    components: Count = 16
-    """Number of Gaussians in the mixture of poses, each of which needs 20 frames."""
-    min_speed_m_s: NotNegative = 0.0
-    """Leave out segments that are slower than this speed in m/s, such as 8.5."""
-    apart: tuple[str, ...] = ()
-    """Body segment that moves independently of the others, such as tail_1."""
-    name: str | None = None
-    """Name of the prior. (default: the name of the file)"""
-    source: str = ""
-    """Origin of the poses, stored with the prior."""
-    check: bool = False
-    """Score each segment under a prior fitted to the others."""
-    anyway: Annotated[bool, ANYWAY] = False
-    overwrite: bool = False
-    """Replace the file."""
 
 
 def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:

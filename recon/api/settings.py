@@ -356,6 +356,11 @@ SETTINGS = FitSettings.infos()
 """Settings keyed by their names, in the order of `FitSettings`."""
 OF_ANY_CLIP = tuple(name for name in SETTINGS if name not in ("keypoints", "corrections"))
 """Names of the settings that several clips can share."""
+TRIANGULATION_SETTINGS = (
+    *("keypoints", "camera", "camera_name", "camera_unit", "camera_track", "fps", "image_size_px", "up"),
+    *("individual", "rename", "frames", "offset_s", "camera_fps", "likelihood_min", "sigma_px"),
+)
+"""Settings of a fit that triangulation reads."""
 
 
 def setting_with_relative_paths(folder: Path, name: str, value: T) -> T:

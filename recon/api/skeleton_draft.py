@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -26,14 +26,15 @@ from recon.animal.naming import fitting_maps, fitting_skeleton, load_names, sugg
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_cameras import read_clip_cameras
 from recon.api.clip_inputs import arrange, read_clips, require_size_of_animal
+from recon.api.model_settings import SkeletonDraftSettings
 from recon.api.rigs import FIRST_CAMERA
-from recon.api.settings import INDIVIDUAL, FitSettings, Unit
+from recon.api.settings import FitSettings
 from recon.base.arrays import Array, mean_along
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.numbers import counted, percent, quantity, rough_length
 from recon.base.outputs import output_file
-from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.check.sights import triangulated_m
 from recon.clip import Source, align_cameras, clean, views_of
 from recon.io.deeplabcut_project import bodyparts, find_project
@@ -98,34 +99,6 @@ _LEG_WORDS = re.compile("knee|ankle|elbow|wrist|stifle|hock|carp|tars|paw|foot|h
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 """Marker of the quadruped for each keypoint that has one, keypoints without a marker, and text of the skeleton file."""
-
-
-class SkeletonDraftSettings(Settings):
-    """Settings of `recon skeleton from-keypoints`."""
-
-    keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
-    """Keypoint file, or DeepLabCut project. With --camera, one file per camera."""
-    out: Path
-    """Skeleton file to write, such as my-animal.toml."""
-    individual: Annotated[str | None, Option(INDIVIDUAL)] = None
-    camera: OneOrMore[File] | None = None
-    """Calibration of several cameras, with which the draft is made from distances that stay constant. (default: from
-    names)
-    """
-    fps: Positive | None = None
-    """With --camera: frame rate in Hz. (default: as stated in the file)"""
-    up: str | None = None
-    """With --camera: upward axis of the calibration's world, such as z or -y, or first-camera if the first camera is
-    level. (default: as stated in the file)
-    """
-    camera_name: OneOrMore[str] | None = None
-    """With --camera: name of the camera in the file, such as cam2 or 2, once per keypoint file. (default: the camera
-    whose name the keypoint file's name contains)
-    """
-    camera_unit: Unit = "m"
-    """With --camera: unit of the cameras' positions in the file, which is often mm for Anipose."""
-    overwrite: bool = False
-    """Replace the file."""
 
 
 def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from recon.animal.measured import detector_toml, subject_toml
 from recon.animal.skeleton_file import NONE
 from recon.api.clip_inputs import prepare
 from recon.api.clip_results import CONFIG, read_config
+from recon.api.model_settings import SubjectFitSettings
 from recon.api.settings import FitSettings
 from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.numbers import counted
 from recon.base.outputs import output_file, require_suffix
-from recon.base.settings import OneOrMore, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.clip import views_of
 from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem
@@ -65,39 +65,6 @@ def _bones(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
             "interval_m": [length_m - reach_m, length_m + reach_m],
             "data_share": data_share,
         }
-
-
-class SubjectFitSettings(Settings):
-    """Settings of `recon subject fit`."""
-
-    clips: Annotated[OneOrMore[Path], Option(argument="CLIPS")]
-    """Results of clips from several cameras, or their config.toml files."""
-    out: Path
-    """File to write the subject to, such as my-cat.toml."""
-    lengths: bool = True
-    """Measure the lengths of the segments, assuming that left equals right."""
-    offsets: bool = False
-    """Measure the offsets of the detector's keypoints from the markers."""
-    poses: tuple[Path, ...] = ()
-    """3D poses from another method, one file per clip, relative to which offsets are measured."""
-    title: str | None = None
-    """Title of the animal. (default: made from the clips)"""
-    overwrite: bool = False
-    """Replace the file."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield problems if there is nothing to measure, or if poses are not given for every clip."""
-        if not self.lengths and not self.offsets:
-            yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets as well, or no option --no-lengths")
-        if self.poses and (self.lengths or not self.offsets):
-            yield Problem("--poses", "unknowns", "lengths to fit, or no offsets", "--no-lengths --offsets as well")
-        if self.poses and len(self.poses) != len(self.clips):
-            yield Problem(
-                "--poses",
-                "files",
-                f"{counted(len(self.poses), 'file')} for {counted(len(self.clips), 'clip')}",
-                "a file for each clip",
-            )
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:

@@ -24,11 +24,6 @@ from recon.io.common import Pose3D
 
 POINTS, COVARIANCES, SUMMARY = "pose3d.csv", "pose3d_covariance.csv", "triangulation.json"
 """Files that `recon triangulate` writes."""
-TRIANGULATION_SETTINGS = (
-    *("keypoints", "camera", "camera_name", "camera_unit", "camera_track", "fps", "image_size_px", "up"),
-    *("individual", "rename", "frames", "offset_s", "camera_fps", "likelihood_min", "sigma_px"),
-)
-"""Settings of a fit that triangulation reads."""
 _COVARIANCE_COLUMNS = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
 
 

@@ -1,22 +1,21 @@
-"""The command `recon analyse`: tables, figures and a summary of a fitted clip."""
+"""The commands `recon analyse`, with its answer, and `recon compare`, whose answer is made in `compare.py`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 from rich.text import Text
 
-from recon.api.analyse import FOLDER, AnalyseSettings, run_analysis
+from recon.api.analysis_settings import ANALYSIS_FOLDER, AnalyseSettings, CompareSettings
 from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
-from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import STRIDE_WORDS
-from recon.gait.stances import interval_text
-from recon.show.sentences import analysis_sentences
+
+if TYPE_CHECKING:
+    from recon.gait.clip import ClipAnalysis
 
 MAX_STANCES = 100
 """Maximum number of stances, of all feet together, that are printed."""
@@ -29,9 +28,11 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
 
     Example: recon analyse results/clip
     """
+    from recon.api.analyse import run_analysis
+
     written, out = run_analysis(settings, progress), settings.out_folder
     lines = [*_lines(written.analysis, written.summary), f"{len(written.files)} files are in {out}."]
-    if out == settings.folder / FOLDER:
+    if out == settings.folder / ANALYSIS_FOLDER:
         lines.append(f"See them with the playback: recon view {settings.folder}")
     return Answer(written.summary, lines, files=written.files)
 
@@ -41,6 +42,10 @@ ACCELERATION_KNOWN_M_S2 = 10.0
 
 
 def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
+    from recon.gait.gait import STRIDE_WORDS
+    from recon.gait.stances import interval_text
+    from recon.show.sentences import analysis_sentences
+
     motion = analysis.motion
     yield from verdict_texts(motion.verdict)
     yield from analysis_sentences(analysis)
@@ -71,3 +76,17 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
         if not all(s.begins and s.ends for s in analysis.gait.stances):
             yield "≤, +: the stance begins or ends outside the clip, or in a gap."
     yield from (f"note: {note}" for note in summary["notes"])
+
+
+def compare(settings: CompareSettings, progress: Progress) -> Answer:
+    """Compare strides and speeds of several clips by group, with uncertainties, group means and spreads.
+
+    With --design or --names, a mixed model separates the variation between animals, runs, strides and measurements.
+
+    --plan reports how many animals an effect needs.
+
+    Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
+    """
+    from recon.cli.compare import compare_or_plan
+
+    return compare_or_plan(settings, progress)

@@ -40,7 +40,7 @@ def _batch() -> CommandFunction:
 
 
 def _run() -> CommandFunction:
-    from recon.cli.run import run
+    from recon.cli.video import run
 
     return run
 
@@ -80,7 +80,7 @@ def _analyse() -> CommandFunction:
 
 
 def _compare() -> CommandFunction:
-    from recon.cli.compare import compare
+    from recon.cli.analyse import compare
 
     return compare
 
@@ -110,7 +110,7 @@ def _convert() -> CommandFunction:
 
 
 def _fix() -> CommandFunction:
-    from recon.cli.fix import fix
+    from recon.cli.video import fix
 
     return fix
 
@@ -146,7 +146,7 @@ def _camera_advice() -> CommandFunction:
 
 
 def _label() -> CommandFunction:
-    from recon.cli.label import label
+    from recon.cli.video import label
 
     return label
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from recon.api.audit import Audit, audit_file
 from recon.api.settings import INDIVIDUAL
 from recon.base.files import write_text
 from recon.base.numbers import counted
@@ -19,7 +18,9 @@ from recon.cli.answers import Answer
 from recon.fit.motion_forms import MOTION
 from recon.io.columns import parse_map
 from recon.show.console import finding_text
-from recon.show.page.audit_page import audit_page
+
+if TYPE_CHECKING:
+    from recon.api.audit import Audit
 
 TABLE, PAGE = "audit.csv", "audit.html"
 
@@ -53,6 +54,8 @@ def audit(settings: _AuditSettings) -> Answer:
 
     Each finding states the problem, the frames, and one thing to do. The file is not changed.
     """
+    from recon.api.audit import audit_file
+
     output = None
     if settings.out is not None:
         made_from = ReadResults.read(settings.source) if (settings.source / MOTION).is_file() else None
@@ -69,6 +72,8 @@ def audit(settings: _AuditSettings) -> Answer:
     )
     files = []
     if output is not None and settings.out is not None:
+        from recon.show.page.audit_page import audit_page
+
         with output.staged() as staging:
             write_frame(result.table(), staging / TABLE)
             write_text(

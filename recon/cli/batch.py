@@ -7,35 +7,26 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from recon.api.batch import (
-    ClipPlan,
-    OnEvent,
-    Problems,
-    Summary,
-    distinct_problems,
-    input_problems,
-    plan_batch,
-    run_batch,
-)
-from recon.api.batch_inputs import find_clips
 from recon.api.settings import OF_ANY_CLIP, FitSettings
 from recon.base.errors import raise_problems
 from recon.base.numbers import counted, quantity
 from recon.base.parallel import Event
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
-from recon.check.verdict import reason_in_list
 from recon.cli.answers import Answer, progress_bar, say, stop, table_of, terminal
 from recon.cli.commands import OptionsOf
 from recon.fit.result import LEVELS
 from recon.show.console import STYLES
 from recon.show.page.own_page import SUMMARY_PAGE
+
+if TYPE_CHECKING:
+    from recon.api.batch import ClipPlan, OnEvent, Problems, Summary
 
 CANNOT_FIT = "cannot be fitted"
 SOLVING_FRACTION = 0.5
@@ -94,6 +85,9 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
     Exit code 0: finished, even if some clips failed (see --strict). 2: the input as a whole cannot be used; nothing
     was done. 130: stopped with Ctrl-C; finished clips are kept.
     """
+    from recon.api.batch import distinct_problems, input_problems, plan_batch, run_batch
+    from recon.api.batch_inputs import find_clips
+
     clips, notes = find_clips(
         settings.inputs, options, settings.config, settings.cameras_by, recursive=settings.recursive
     )
@@ -200,6 +194,8 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
 
     If `strict` is true, the exit code is 1 if any clip has problems.
     """
+    from recon.api.batch import distinct_problems
+
     rows: list[dict[str, Any]] = [
         {
             "clip": planned.clip.name,
@@ -236,6 +232,8 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:
+    from recon.check.verdict import reason_in_list
+
     level = row["verdict"] or ""
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:

@@ -14,10 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from recon.api.calibrate import CalibrationSettings, run_calibration
-from recon.api.camera_advice import CameraAdviceSettings, run_camera_advice
-from recon.api.camera_motion import NOTES, CameraMotionSettings, motion_files, run_camera_motion
-from recon.api.extrinsics import MAX_CHI_SQUARED, clips_of, run_extrinsics
+from recon.api.camera_settings import CalibrationSettings, CameraAdviceSettings, CameraMotionSettings
 from recon.api.settings import FitSettings
 from recon.base.numbers import counted, length_text, quantity
 from recon.base.outputs import Output, output_file
@@ -36,6 +33,8 @@ def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
 
     Exit code 0: written. 1: not written, because a check failed. 2: the input cannot be used.
     """
+    from recon.api.calibrate import run_calibration
+
     report = run_calibration(settings, progress)
     errors = []
     if report["written"] is None:
@@ -114,6 +113,8 @@ def extrinsics(settings: _ExtrinsicsSettings, options: _OfClips, progress: Progr
 
     Exit code 0: written. 2: the input cannot be used.
     """
+    from recon.api.extrinsics import clips_of, run_extrinsics
+
     clips, notes = clips_of(settings.inputs, options, settings.cameras_by)
     for note in notes:
         say(console, note, "yellow")
@@ -125,6 +126,8 @@ def extrinsics(settings: _ExtrinsicsSettings, options: _OfClips, progress: Progr
 
 def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[str]:
     """Yield lines on the positions of the cameras, and on how well the clips determine them."""
+    from recon.api.extrinsics import MAX_CHI_SQUARED
+
     first = cameras[0].centre_world
     for camera, camera_report in zip(cameras, report["cameras"], strict=True):
         turn, shift = (float(np.linalg.norm(camera_report[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
@@ -162,6 +165,8 @@ def camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -
 
 def camera_motion_answer(settings: CameraMotionSettings, output: Output, progress: Progress = silent) -> Answer:
     """Find how a camera turned, write its files to an output, and return the answer."""
+    from recon.api.camera_motion import NOTES, motion_files, run_camera_motion
+
     report = run_camera_motion(settings, output, progress)
     paths = [settings.out.with_name(name) for name in motion_files(settings.out)]
     lost_count, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
@@ -180,5 +185,7 @@ def camera_advice(settings: CameraAdviceSettings, progress: Progress) -> Answer:
 
     Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
     """
+    from recon.api.camera_advice import run_camera_advice
+
     report = run_camera_advice(settings, progress)
     return Answer(report, [*report["words"], f"The figure and the table are in {settings.out}."])

@@ -1,4 +1,4 @@
-"""The command `recon compare`: compare strides and speeds of several clips by group, or plan an experiment."""
+"""The answer of `recon compare`: tables of the comparison, of its mixed models, and of a planned experiment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from textwrap import fill
 import pandas as pd
 from rich.table import Table
 
-from recon.api.compare import FIGURE, GROUPS, QUANTITIES, CompareSettings, Comparison, known_quantities, run_compare
+from recon.api.analysis_settings import CompareSettings
+from recon.api.compare import FIGURE, GROUPS, QUANTITIES, Comparison, known_quantities, run_compare
 from recon.api.experiment import MODEL, VARIANCES, Experiment
 from recon.api.experiment_plan import PLAN, PlanTable, plan_experiment, read_plan, read_variances
 from recon.base.errors import InputError, Problem
@@ -22,15 +23,8 @@ from recon.show.page.compare_page import value_with_interval
 from recon.show.page.own_page import COMPARE_PAGE
 
 
-def compare(settings: CompareSettings, progress: Progress) -> Answer:
-    """Compare strides and speeds of several clips by group, with uncertainties, group means and spreads.
-
-    With --design or --names, a mixed model separates the variation between animals, runs, strides and measurements.
-
-    --plan reports how many animals an effect needs.
-
-    Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
-    """
+def compare_or_plan(settings: CompareSettings, progress: Progress) -> Answer:
+    """Compare the clips, plan an experiment, or do both, and return the answer."""
     plan = read_plan(settings.plan) if settings.plan else None
     variances = _earlier_variances(settings)
     if plan is not None and (variances is not None or not settings.folders):

@@ -12,7 +12,6 @@ from recon.api.settings import ANYWAY, INDIVIDUAL, RENAME
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.outputs import ReadResults, output_file
 from recon.base.settings import Option, Positive, Settings, input_paths
-from recon.check.verdict import usable, verdict_fields, verdict_lines
 from recon.cli.answers import Answer, table_of
 from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
@@ -21,7 +20,6 @@ from recon.io.common import Pose3D
 from recon.io.formats import CONVERTED, Format, as_keypoints, read_points
 from recon.io.positions import in_metres
 from recon.show.plain import by_name
-from recon.show.rig import rig_of
 
 ROBOT_FILE = "robot.npz"
 """Name of the file with a robot's motion, which `recon retarget` writes."""
@@ -69,6 +67,8 @@ def convert(settings: ConvertSettings) -> Answer:
     """
     if settings.show_list:
         return _list_of_formats()
+    from recon.check.verdict import verdict_fields
+
     source, out = settings.source, settings.out
     if source is None or out is None:
         actual = "nothing" if source is None else "one file"
@@ -90,6 +90,8 @@ def convert(settings: ConvertSettings) -> Answer:
     notes = data.notes
     written: Any = data
     if "bones" in target.writes and motion is not None:
+        from recon.show.rig import rig_of
+
         companions = [out.with_suffix(extension) for extension in target.companions]
         output.require([path.name for path in companions])
         written = rig_of(motion, data.fps, settings.body_mass_kg)
@@ -154,6 +156,8 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
     """
     motion = None
     if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("[!.]*.json"))):
+        from recon.check.verdict import usable
+
         motion = usable(Motion.load(source), source, settings.anyway)
         data = _pose_of(motion)
         _require_none(settings, ("individual", "columns", "unit", "up"), source, "results of recon fit")
@@ -186,6 +190,8 @@ def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path,
 
 def _pose_of(motion: Motion) -> Pose3D:
     """Return the joints of a fit with z up, with the verdict as notes, uncertainties, and flags of frames."""
+    from recon.check.verdict import verdict_lines
+
     notes = verdict_lines(motion.verdict)
     if not motion.knows_up:
         notes += ("Positions are in the level frame, z up, because the camera file does not have the camera's pose.",)

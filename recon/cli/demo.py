@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from recon.api.clip_results import run_clip
 from recon.api.samples import samples_folder
 from recon.api.settings import FitSettings
 from recon.base.numbers import quantity
@@ -16,10 +15,7 @@ from recon.cli.answers import Answer, answer_of_fit
 from recon.cli.look_options import PageSettings
 from recon.cli.show import report
 from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis
-from recon.gait.evaluation import evaluate_files
 from recon.show.page.own_page import PAGE
-from recon.show.sentences import analysis_sentences
 
 
 class _DemoSettings(Settings):
@@ -36,6 +32,11 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
 
     Example: recon demo --out demo-output
     """
+    from recon.api.clip_results import run_clip
+    from recon.gait.clip import ClipAnalysis
+    from recon.gait.evaluation import evaluate_files
+    from recon.show.sentences import analysis_sentences
+
     samples, out = samples_folder(), settings.out
     settings_of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
     Output(out, "report", True).require((PAGE,))

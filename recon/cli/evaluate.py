@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.table import Table
 from rich.text import Text
@@ -13,7 +13,9 @@ from recon.api.settings import ANYWAY
 from recon.base.numbers import percent, quantity
 from recon.base.settings import Option, Settings
 from recon.cli.answers import Answer, table_of, verdict_texts
-from recon.gait.evaluation import LEVELS, Evaluation, evaluate_files
+
+if TYPE_CHECKING:
+    from recon.gait.evaluation import Evaluation
 
 
 class _EvaluateSettings(Settings):
@@ -37,6 +39,8 @@ def evaluate(settings: _EvaluateSettings) -> Answer:
 
     Example: recon evaluate results/clip truth.csv
     """
+    from recon.gait.evaluation import evaluate_files
+
     options = settings.anyway, settings.unit, settings.up, settings.rename
     result = evaluate_files(settings.pose3d, settings.truth, *options)
     against = f"{result.pose} against the reference {result.truth}"
@@ -63,6 +67,8 @@ def _table(result: Evaluation) -> Table:
 
 
 def _table_notes(result: Evaluation) -> Iterator[str]:
+    from recon.gait.evaluation import LEVELS
+
     thresholds = ", ".join(f"{1000 * t:g}" for t, _ in result.pck)
     yield "MPJPE   mean distance of the joints from the reference, each frame centred"
     yield "MPE     the same distance without centring"

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from recon.base.numbers import percent, quantity
 from recon.cli.answers import Answer, table_of
-from recon.keypoint_net.labels import PCK_PX, PCK_RELATIVE, Evaluate2DSettings, evaluate_2d_files
+from recon.keypoint_net.settings import Evaluate2DSettings
 from recon.show.plain import picked
 
 
@@ -19,11 +19,15 @@ def evaluate_2d_command(settings: Evaluate2DSettings) -> Answer:
 
     Example: recon evaluate-2d run.csv CollectedData_me.csv
     """
+    from recon.keypoint_net.labels import evaluate_2d_files
+
     result = evaluate_2d_files(**picked(settings, *settings.infos()))
     return Answer(result, [_error_table(result), *_evaluation_lines(result)])
 
 
 def _error_table(result: dict[str, Any]) -> Table:
+    from recon.keypoint_net.labels import PCK_PX, PCK_RELATIVE
+
     pck = (*(f"{t:g}px" for t in PCK_PX), *map(percent, PCK_RELATIVE))
     table = table_of("errors in px", numbers=("n", "found", "RMSE", "median", *pck), padding=(0, 1, 0, 0))
 

@@ -7,8 +7,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from recon.api.analyse import DEFAULT_FIGURES, figures_of
-from recon.api.figure import caption_of, draw_for_print
 from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes, write_text
@@ -16,10 +14,8 @@ from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Number, Option, Settings, input_paths
-from recon.check.verdict import usable
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.fit.motion import Motion
-from recon.gait.clip import analyse
 
 KINDS = {".pdf": "pdf", ".svg": "svg", ".png": "png"}
 
@@ -48,6 +44,11 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
 
     Example: recon figure results/clip side_view joint_flexion --out fig1.pdf --width 183
     """
+    from recon.api.analyse import DEFAULT_FIGURES, figures_of
+    from recon.api.figure import caption_of, draw_for_print
+    from recon.check.verdict import usable
+    from recon.gait.clip import analyse
+
     out = settings.out
     if out is not None:
         require_suffix(out, KINDS)

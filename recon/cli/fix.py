@@ -1,17 +1,14 @@
-"""Define the command `recon fix`: correct wrong keypoints of a result in a browser, and export them."""
+"""The page of `recon fix`, on which wrong keypoints are corrected, and the export of the corrections."""
 
 from __future__ import annotations
 
 import shlex
 import threading
-from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
 
 import cv2
-from pydantic import Field
 from rich.console import Console
 
 from recon.api.clip_results import CONFIG, CORRECTIONS, read_config
@@ -23,11 +20,10 @@ from recon.base.local_server import LocalServer, Reply, json_reply, number_in
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults, output_file, require_suffix
-from recon.base.settings import Option
 from recon.cli.answers import Answer
 from recon.cli.look import first_in_clip, result_and_video
-from recon.cli.look_options import ResultSettings
 from recon.cli.serving import saving, serve_until_ctrl_c
+from recon.cli.video_options import FixSettings
 from recon.fit.motion import Motion
 from recon.io.deeplabcut import write_csv
 from recon.io.hdf5_poses import write_deeplabcut
@@ -37,50 +33,10 @@ from recon.show.page.pages import rendered
 from recon.show.page.scripts import script, style
 
 JPEG_QUALITY = 90
-_EXPORT = "Export instead of the page"
 
 
-class FixSettings(ResultSettings):
-    """Settings of `recon fix`."""
-
-    video: Path | None = None
-    """Video of the keypoints, such as clip.mp4. (default: points on a plain background)"""
-    out: Path | None = None
-    """Corrections file, to which new corrections are added. (default: the fit's corrections file, or corrections.csv
-    in the folder)
-    """
-    browser: Annotated[bool, Field()] = True
-    """Open the page in the browser."""
-    export_labels: Annotated[Path | None, Option(panel=_EXPORT, metavar="FOLDER")] = None
-    """Write the corrected frames as DeepLabCut label files and COCO, into the labeled-data folder of this folder."""
-    with_accepted: Annotated[bool, Option(panel=_EXPORT)] = False
-    """Also label the points that were only accepted from the model."""
-    scorer: Annotated[str, Option(panel=_EXPORT)] = "recon"
-    """Name of the labeller, as in the project's config.yaml."""
-    export_table: Annotated[Path | None, Option(panel=_EXPORT, metavar="FILE")] = None
-    """Write the keypoints with the corrections as DeepLabCut's table, .csv or .h5."""
-    overwrite: Annotated[bool, Option(panel=_EXPORT)] = False
-    """Replace existing files."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield a problem for each option that has no effect or cannot be used without another option."""
-        if self.export_labels is not None and self.video is None:
-            yield Problem("settings", "video", "nothing", "the video, whose frames are exported with the labels")
-        if self.export_labels is None and self.with_accepted:
-            yield Problem("settings", "with_accepted", "no --export-labels", "both options or neither")
-        if self.export_labels is None and self.export_table is None and self.overwrite:
-            yield Problem("settings", "overwrite", "nothing to replace", "--export-labels or --export-table as well")
-
-
-def fix(settings: FixSettings, console: Console) -> Answer:
-    """Correct wrong keypoints in a browser, while the animal is fitted again.
-
-    The page is served on this machine only, until you press Ctrl-C. Every change is saved to the corrections file, and
-    the results stay unchanged. --export-labels and --export-table write the corrections for training the detector, and
-    do not open the page.
-
-    Example: recon fix results/clip --video clip.mp4
-    """
+def fix_or_export(settings: FixSettings, console: Console) -> Answer:
+    """Serve the page until Ctrl-C, or export the corrections, and return the answer."""
     motion, number = result_and_video(settings)
     out = settings.out or read_config(settings.folder / CONFIG, {}).corrections or settings.folder / CORRECTIONS
     require_suffix(out, (".csv",))

@@ -12,9 +12,7 @@ from rich.table import Table
 
 from recon.base.numbers import percent, quantity
 from recon.cli.answers import Answer, table_of, verdict_texts
-from recon.gait.gait import STRIDE_WORDS
-from recon.ik.clip import IkSettings, run_ik
-from recon.ik.cost_study import CHAOTIC_GROWTH, TURNS
+from recon.ik.settings import IkSettings
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
@@ -29,12 +27,16 @@ def ik(settings: IkSettings) -> Answer:
 
     Example: recon ik results/clip --compare
     """
+    from recon.ik.clip import run_ik
+
     done = run_ik(settings)
     lines = _ik_lines(done.summary, settings.out_folder)
     return Answer(done.summary, [*verdict_texts(done.motion.verdict), *lines])
 
 
 def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    from recon.gait.gait import STRIDE_WORDS
+
     stride = summary["stride"]
     origin = STRIDE_WORDS[stride["how"]].ends
     size = f"{len(summary['joints'])} joints, {summary['dimensions']}D"
@@ -141,6 +143,8 @@ def _closure_cell(row: dict[str, Any], joint: str) -> str:
 
 
 def _cost_lines(costs: dict[str, Any]) -> Iterator[str | Table]:
+    from recon.ik.cost_study import CHAOTIC_GROWTH, TURNS
+
     columns: dict[str, Callable[[Any], str]] = {
         "result": lambda row: row["outcome"],
         "starts at": lambda row: row["stationary"].split(":")[0],

@@ -1,26 +1,20 @@
-"""The command `recon label`: label frames of a video in a browser, without earlier keypoints."""
+"""The page of `recon label`, on which frames of a video are labelled."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from http import HTTPStatus
-from pathlib import Path
-from typing import Annotated
 
-from pydantic import Field
 from rich.console import Console
 
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.label_frames import LabelSession, frames_by_gain
-from recon.api.settings import FIRST_FRAME
-from recon.base.errors import Problem
 from recon.base.local_server import LocalServer, Reply, json_reply, number_in
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
-from recon.base.settings import Count, Integer, NameOrFile, Option, Settings
 from recon.cli.answers import Answer
 from recon.cli.look import camera_number
 from recon.cli.serving import saving, serve_until_ctrl_c
+from recon.cli.video_options import LabelSettings
 from recon.fit.motion import Motion
 from recon.io.deeplabcut_project import find_project
 from recon.io.label_files import LABELED_DATA, require_label_names
@@ -31,45 +25,8 @@ from recon.show.page.scripts import script, style
 SCORER = "recon"
 
 
-class LabelSettings(Settings):
-    """Settings of `recon label`."""
-
-    video: Annotated[Path, Option(argument="VIDEO")]
-    """The video, such as run.mp4."""
-    out: Path
-    """Folder for the labels. If it is a DeepLabCut project, its scorer and bodyparts are used."""
-    skeleton: NameOrFile | None = None
-    """The skeleton whose markers are labelled, such as cheetah-24. (default: cheetah-24, or the project's bodyparts)"""
-    names: str | None = None
-    """Names of the keypoints, instead of a skeleton's, such as nose,tail,paw."""
-    frames: Count = 40
-    """Number of frames, chosen so that they differ."""
-    result: Path | None = None
-    """Result of recon fit of this video, such as results/clip, from which the frames are chosen whose labels would
-    lower the expected error most.
-    """
-    camera_name: str | None = None
-    """Name of the video's camera in the result, such as cam2, if there are several."""
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    scorer: str | None = None
-    """Name of the labeller. (default: the project's, or recon)"""
-    browser: Annotated[bool, Field()] = True
-    """Open the page in the browser."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield a problem if --camera-name or --first-frame is given without --result."""
-        if self.result is None and (self.camera_name is not None or self.first_frame):
-            yield Problem("settings", "result", "nothing", "a result, which --camera-name and --first-frame need")
-
-
-def label(settings: LabelSettings, console: Console) -> Answer:
-    """Label frames of a video in a browser, for recon train and DeepLabCut.
-
-    The frames are chosen so that they differ, or with --result so that a fit gains most. The page is served on this
-    machine only, until you press Ctrl-C. Labels are saved with every click. Run the same command again to continue.
-
-    Example: recon label run.mp4 --skeleton cheetah-24 --out project
-    """
+def label_video(settings: LabelSettings, console: Console) -> Answer:
+    """Serve the page until Ctrl-C, and return the answer."""
     video, project = settings.video, find_project(settings.out) if settings.out.is_dir() else None
     scorer = settings.scorer or (project.scorer if project else "") or SCORER
     require_label_names(video.stem, scorer)

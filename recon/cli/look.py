@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from recon.api.analyse import FOLDER
 from recon.api.analyse import SUMMARY as ANALYSIS
+from recon.api.analysis_settings import ANALYSIS_FOLDER
 from recon.api.batch import read_rows, write_summary_page
 from recon.api.batch_inputs import SUMMARY
 from recon.api.clip_cameras import cameras_in
@@ -389,7 +389,7 @@ def show_playback(settings: ViewSettings, console: Console) -> Answer:
     with_video = folder / VIDEO_PLAYBACK
     if settings.video is None and with_video.is_file() and is_current(with_video, folder):
         playback = with_video
-    elif settings.video is not None or (folder / FOLDER / ANALYSIS).is_file() or not playback.is_file():
+    elif settings.video is not None or (folder / ANALYSIS_FOLDER / ANALYSIS).is_file() or not playback.is_file():
         with TemporaryDirectory() as temporary:
             path = Path(temporary) / PLAYBACK
             if note := _write(settings, path):
@@ -418,7 +418,7 @@ def _write(settings: ViewSettings, path: Path) -> str | None:
     from recon.show import view as viewer  # slow to import
 
     motion, number = result_and_video(settings)
-    analysis = analyse(motion) if (settings.folder / FOLDER / ANALYSIS).is_file() else None
+    analysis = analyse(motion) if (settings.folder / ANALYSIS_FOLDER / ANALYSIS).is_file() else None
     with staged_file(path) as staged:
         viewer.write(motion, staged, analysis, settings.video, first_in_clip(motion, number, settings), number)
     return first_frame_note(motion, settings)

@@ -9,12 +9,9 @@ from typing import Annotated, Any
 
 from rich.table import Table
 
-from recon.animal.prior_fit import FRAMES_PER_COMPONENT
 from recon.animal.skeleton_file import builtin_names, load_skeleton
-from recon.api.prior_fit import PriorFitSettings, run_prior_fit
+from recon.api.model_settings import PriorFitSettings, SkeletonDraftSettings, SubjectFitSettings
 from recon.api.skeleton_check import REACH_SIGMAS, check_skeleton, feet_remarks
-from recon.api.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
-from recon.api.subject_fit import SubjectFitSettings, run_subject_fit
 from recon.base.numbers import counted, length_text, quantity, rounded
 from recon.base.outputs import Output
 from recon.base.settings import Option, Settings, input_paths
@@ -115,6 +112,8 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
+    from recon.api.skeleton_draft import run_skeleton_draft
+
     out, (markers, unplaced, _) = settings.out, run_skeleton_draft(settings)
     renamed_texts = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
     lines = [f"{out}: {len(markers)} of {len(markers) + len(unplaced)} keypoints are on the skeleton."]
@@ -131,6 +130,9 @@ def prior_fit(settings: PriorFitSettings) -> Answer:
 
     Example: recon prior fit results/run1 results/run2 --out my-cat.npz
     """
+    from recon.animal.prior_fit import FRAMES_PER_COMPONENT
+    from recon.api.prior_fit import run_prior_fit
+
     report = run_prior_fit(settings)
     cannot_hold_out = settings.check and report["held_out"] is None
     notes = (
@@ -142,6 +144,8 @@ def prior_fit(settings: PriorFitSettings) -> Answer:
 
 
 def _prior_lines(report: dict[str, Any]) -> Iterator[str | Table]:
+    from recon.animal.prior_fit import FRAMES_PER_COMPONENT
+
     columns = ("frames", "fps", "speed m/s", "misfit mm", "used")
     rows = (
         (
@@ -179,6 +183,8 @@ def subject_fit(settings: SubjectFitSettings) -> Answer:
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
     """
+    from recon.api.subject_fit import run_subject_fit
+
     report = run_subject_fit(settings)
     return Answer({"out": settings.out, **report}, _subject_lines(report, settings.out))
 

@@ -13,8 +13,7 @@ from rich.console import Console
 from recon.base.numbers import percent, quantity
 from recon.base.progress import Progress
 from recon.cli.answers import Answer, say, stop
-from recon.keypoint_net.network import RING_LIKELIHOOD, PredictSettings, run_prediction
-from recon.keypoint_net.train import CHECKPOINT_FILE, MAX_LEARNED_ERROR, TrainRunSettings, run_training
+from recon.keypoint_net.settings import PredictSettings, TrainRunSettings
 from recon.show.plain import picked
 
 
@@ -23,6 +22,8 @@ def train_command(settings: TrainRunSettings, console: Console, progress: Progre
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
+    from recon.keypoint_net.train import CHECKPOINT_FILE, run_training
+
     out, options = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
     try:
         announce = partial(say, console)
@@ -36,6 +37,8 @@ def train_command(settings: TrainRunSettings, console: Console, progress: Progre
 
 
 def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
+    from recon.keypoint_net.train import MAX_LEARNED_ERROR
+
     yield f"{report['steps']} steps in {quantity(report['seconds'], 0, 's')} on {report['device']}."
     best = report["best_validation"]
     if best:
@@ -70,6 +73,8 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
 
     Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
     """
+    from recon.keypoint_net.network import RING_LIKELIHOOD, run_prediction
+
     start = time.monotonic()
     keypoints = run_prediction(**picked(settings, *settings.infos()), progress=progress)
     frames, seconds = len(keypoints.frames), time.monotonic() - start

@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from recon.cli.answers import Answer, table_of
-from recon.robotics.dh import PoseSettings, TableSettings, pose_answer, table_answer
+from recon.robotics.settings import PoseSettings, TableSettings
 
 
 def pose(settings: PoseSettings) -> Answer:
@@ -17,6 +17,8 @@ def pose(settings: PoseSettings) -> Answer:
 
     Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
     """
+    from recon.robotics.dh import pose_answer
+
     answer = pose_answer(settings)
     table = table_of("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=answer["robot"])
     for label, leg in answer["legs"].items():
@@ -33,6 +35,8 @@ def dh(settings: TableSettings) -> Answer:
 
     Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
     """
+    from recon.robotics.dh import table_answer
+
     answer = table_answer(settings)
     return Answer(answer, _chain_lines(answer, f"{settings.source} {settings.tip or ''}".strip()))
 

@@ -11,9 +11,7 @@ from rich.table import Table
 
 from recon.base.numbers import quantity, rounded
 from recon.cli.answers import EXIT_UNSOLVED, Answer, table_of, verdict_texts
-from recon.robotics import physics
-from recon.robotics.climb.plan import PLAYBACK, ClimbSettings, run_climb
-from recon.robotics.retarget_clip import RetargetSettings, run_retarget
+from recon.robotics.settings import ClimbSettings, RetargetSettings
 
 
 def retarget_command(settings: RetargetSettings) -> Answer:
@@ -21,6 +19,8 @@ def retarget_command(settings: RetargetSettings) -> Answer:
 
     Example: recon retarget results/clip --robot a1 --out results/robot
     """
+    from recon.robotics.retarget_clip import run_retarget
+
     done, report = run_retarget(settings)
     verdict = done.animal.analysis.motion.verdict
     return Answer(report, [*verdict_texts(verdict), *_retarget_lines(report, settings.out)])
@@ -61,10 +61,12 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
 
 
 def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
+    from recon.robotics.physics import RULES
+
     earlier_check = check.get("before")
     numbers = [*(["before"] if earlier_check else []), "clip", "stride", "least", ""]
     table, advice = table_of("rule, kept in % of frames", numbers=numbers), {}
-    for name, rule in physics.RULES.items():
+    for name, rule in RULES.items():
         clip, stride = check["clip"][name], check["stride"][name]
         earlier_cells = (
             [f"{100 * min(earlier_check[part][name]['share'] for part in ('clip', 'stride')):.0f}"]
@@ -97,11 +99,15 @@ def climb(settings: ClimbSettings) -> Answer:
 
     Exit code 0: valid in every frame. 1: not valid in every frame; all files are written. 2: the input cannot be used.
     """
+    from recon.robotics.climb.plan import run_climb
+
     report = run_climb(settings)
     return Answer(report, _climb_lines(report, settings.out), code=0 if report["valid"] else EXIT_UNSOLVED)
 
 
 def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    from recon.robotics.climb.plan import PLAYBACK
+
     pitch, rate = degrees(report["largest_pitch_rad"]), 100 * report["rate_share"]
     yield (
         f"{report['robot']} climbs {quantity(1000 * report['step_m'], 0, 'mm')} in "

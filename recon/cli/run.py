@@ -12,18 +12,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from rich.console import Console
 
-from recon.api.analyse import FOLDER, AnalyseSettings
 from recon.api.analyse import SUMMARY as ANALYSIS
+from recon.api.analysis_settings import AnalyseSettings
 from recon.api.batch import ClipPlan, OnEvent, Summary, results_of, run_plan, summary_output
 from recon.api.batch_inputs import SUMMARY, Clip, file_names
 from recon.api.camera_motion import motion_files, settings_for_clip
 from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.clip_results import (
-    CORRECTIONS,
     FIT,
     VIDEO_PLAYBACK,
     Record,
@@ -36,7 +35,7 @@ from recon.api.clip_results import (
     read_settings,
     with_corrections_in,
 )
-from recon.api.settings import FIRST_FRAME, OF_ANY_CLIP, FitSettings
+from recon.api.settings import FitSettings
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest
 from recon.base.locks import sole_writer
@@ -44,15 +43,14 @@ from recon.base.numbers import quantity
 from recon.base.outputs import Output, adopt
 from recon.base.parallel import run_tasks
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Integer, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.cli.analyse import analyse_command
 from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
 from recon.cli.batch import run_on_console
 from recon.cli.cameras import camera_motion_answer
-from recon.cli.commands import OptionsOf
-from recon.cli.look import bars_note, rate_note, write_recording
+from recon.cli.look import bars_note, draw_overlay, make_page, rate_note, write_recording
 from recon.cli.look_options import OverlaySettings, PageSettings, ViewSettings
-from recon.cli.show import overlay, report
+from recon.cli.video_options import RunSettings
 from recon.fit.motion import Motion
 from recon.gait.spline import MIN_POINTS
 from recon.io.formats import recognised
@@ -63,68 +61,16 @@ from recon.show.report import build_report, is_unsolved
 from recon.show.tables import TABLES
 
 RECORD = "run.jsonl"
-Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "playback", "page"]
 OVERLAY = "overlay.mp4"
 RECORDED_FRAMES = 1500
 """Maximum number of frames of a clip whose video is put into the recording, as a JPEG of each frame."""
-_FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
-
-
-class _RunSettings(Settings):
-    """Settings of `recon run` in addition to the settings of the fit."""
-
-    video: Annotated[Path, Option(argument="VIDEO")]
-    """The video, such as run.mp4, or a folder of videos."""
-    out: Path
-    """Folder for all results, with one subfolder per video for a folder of videos."""
-    model: Annotated[Path | None, Option(metavar="DIR")] = None
-    """Folder of a trained network, such as models/run."""
-    keypoints: Path | None = None
-    """Keypoint file to use instead of a network, or the folder of the keypoint files of a folder of videos."""
-    corrections: Path | None = None
-    """Detections that were corrected by hand, for one video. (default: corrections.csv in --out, if there is one)"""
-    camera_motion: Literal["turns", "zooms"] | None = None
-    """Motion of the camera, to be found from the background: turns or zooms. (default: the camera is static)"""
-    start: Annotated[Stage | None, Option(metavar="STAGE", name="--from")] = None
-    """Repeat this stage and all later ones."""
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
-    jobs: Count | None = None
-    """Number of videos to run at the same time. (default: one per core)"""
-    config: Path | None = None
-    """config.toml of an earlier fit. Options given here override it."""
-    overwrite: bool = False
-    """Replace files that other commands, such as recon fit, made in --out, but never your own or hand-changed files.
-    """
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield problems with the source of the keypoints, with corrections, and with the stage of --from."""
-        if (self.model is None) == (self.keypoints is None):
-            actual = "nothing" if self.model is None else f"{self.keypoints} together with --model"
-            yield Problem("--keypoints", "keypoints", actual, "a keypoint file, or --model with a network")
-        if self.corrections is not None and self.video.is_dir():
-            actual = f"{self.corrections} for a folder of videos"
-            yield Problem(
-                "--corrections", "corrections", actual, f"{CORRECTIONS} in the folder of each video's results"
-            )
-        if {"detect": self.model, "camera-motion": self.camera_motion}.get(self.start or "", ()) is None:
-            yield Problem(
-                "--from",
-                "stage",
-                f"{self.start!r} without --{'model' if self.start == 'detect' else self.start}",
-                "a stage of this run",
-            )
-
-    @property
-    def track(self) -> Path:
-        """Return the path to which the run writes the track of a moving camera."""
-        return self.out / f"{self.video.stem}_camera.csv"
 
 
 @dataclass(frozen=True)
 class _Job:
     """A video, and the settings of its run."""
 
-    run: _RunSettings
+    run: RunSettings
     settings: FitSettings
     """Settings of the fit, whose keypoints are the given file or the file that the network writes."""
     threads: int | None = None
@@ -165,16 +111,8 @@ class _StageOutcome(NamedTuple):
     """Notes on the video."""
 
 
-def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answer:
-    """Make a page from a video: find the keypoints, fit, analyse, draw the overlay, record, and write report.html.
-
-    Stages that were done before with the same files and settings are skipped. The frame rate is the video's unless
-    --fps is given. The stages are detect, camera-motion, fit, analyse, overlay, playback and page.
-
-    Example: recon run run.mp4 --camera camera.toml --model models/run --out results/run
-
-    Exit code 0: finished. 1: no frame could be solved. 2: the input cannot be used; earlier results are kept.
-    """
+def run_videos(settings: RunSettings, options: Mapping[str, Any], console: Console) -> Answer:
+    """Run the stages of a video, or of each video in a folder, and return the answer."""
     if settings.video.is_dir():
         plan = jobs_of(settings, options)
         return run_on_console(console, len(plan), partial(run_folder, plan, settings.out, settings.jobs))
@@ -209,7 +147,7 @@ def _model_file(path: Path) -> Path:
     return model_file(path)
 
 
-def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
+def job_of(run_settings: RunSettings, options: Mapping[str, Any]) -> _Job:
     """Return the job of a video.
 
     `options` holds the given settings of the fit, keyed by their names. Without a frame rate, the video's frame rate
@@ -235,7 +173,7 @@ def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     return _Job(run_settings, with_corrections_in(run_settings.out, settings))
 
 
-def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> Iterator[Problem]:
+def _motion_problems(run_settings: RunSettings, options: Mapping[str, Any]) -> Iterator[Problem]:
     if run_settings.camera_motion is not None and options.get("camera") is None:
         yield Problem("--camera-motion", "camera", "no camera file", "--camera with the camera's lens")
     if run_settings.camera_motion is not None and options.get("camera_track"):
@@ -359,10 +297,10 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     recording = ViewSettings(out=out / VIDEO_PLAYBACK, overwrite=True, **view_options)
     return stages | {
         FIT: _Stage(solve, partial(identity, job.fit), fit_output, (*output_files(job.fit, out),)),
-        "analyse": _Stage(partial(analyse_command, analysis), from_fit, output("analyse", out / FOLDER), tables),
-        "overlay": _Stage(partial(overlay, overlay_settings), from_video, output("overlay"), (OVERLAY,)),
+        "analyse": _Stage(partial(analyse_command, analysis), from_fit, output("analyse", analysis.out_folder), tables),
+        "overlay": _Stage(partial(draw_overlay, overlay_settings), from_video, output("overlay"), (OVERLAY,)),
         "playback": _Stage(partial(_record, recording), from_video, output("view"), (VIDEO_PLAYBACK,)),
-        "page": _Stage(partial(report, PageSettings(**view_options)), from_video, output("report"), (PAGE,)),
+        "page": _Stage(partial(make_page, PageSettings(**view_options)), from_video, output("report"), (PAGE,)),
     }
 
 
@@ -409,7 +347,7 @@ def _record(settings: ViewSettings, progress: Progress) -> Answer:
     return replace(answer, notes=[text])
 
 
-def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job]:
+def jobs_of(run_settings: RunSettings, options: Mapping[str, Any]) -> list[_Job]:
     """Return one job per video of a folder, each with its own output folder.
 
     Raises

@@ -13,8 +13,7 @@ from recon.base.progress import Progress
 from recon.cli.answers import Answer
 from recon.cli.commands import OptionsOf
 from recon.cli.fit import FitRunSettings, fit
-from recon.thesis.clip import SolverSettings, run_solver
-from recon.thesis.inspect import PUBLISHED
+from recon.thesis.settings import SolverSettings
 
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
 
@@ -41,12 +40,16 @@ def solver(settings: SolverSettings, progress: Progress) -> Answer:
 
     Example: recon solver results/clip
     """
+    from recon.thesis.clip import run_solver
+
     summary, files = run_solver(settings, progress)
     return Answer(summary, [*_solver_lines(summary), f"{len(files)} files are in {settings.out_folder}."])
 
 
 def _solver_lines(summary: dict[str, Any]) -> Iterator[str]:
     """Yield sentences on how the search ended, its effort, the errors in the picture, and the terms of the cost."""
+    from recon.thesis.inspect import PUBLISHED
+
     yield f"{summary['frames_converged']} of {counted(summary['frames'], 'frame')} converged."
     effort = (
         f"{row['median']:.0f} {name} ({row['min']:.0f} to {row['max']:.0f})"

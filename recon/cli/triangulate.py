@@ -8,9 +8,7 @@ from typing import Annotated, Any
 
 from rich.table import Table
 
-from recon.api.clip_results import read_settings
-from recon.api.settings import FitSettings
-from recon.api.triangulation import TRIANGULATION_SETTINGS, run_triangulation
+from recon.api.settings import TRIANGULATION_SETTINGS, FitSettings
 from recon.base.numbers import length_text, percent
 from recon.base.settings import Option, Settings
 from recon.cli.answers import Answer, table_of
@@ -41,6 +39,9 @@ def triangulate(settings: _TriangulateSettings, options: _OfClip) -> Answer:
 
     Exit code 0: written. 2: the input cannot be used.
     """
+    from recon.api.clip_results import read_settings
+    from recon.api.triangulation import run_triangulation
+
     clip = run_triangulation(read_settings(None, options), settings.out, settings.smooth, settings.overwrite)
     summary = clip.summary()
     return Answer({"out": settings.out} | summary, [*_lines(settings.out, summary)])

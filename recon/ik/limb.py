@@ -34,10 +34,9 @@ from recon.ik.drive import Run, follow
 from recon.ik.methods import STANDARD, ExtendedJacobian, GradientProjection, Method, best_scale
 from recon.ik.null_space import to_null_space_optimum
 from recon.ik.parameters import EQUAL_WEIGHT_PULL, PARAMETERS, Frames, ParameterFit, explained_by, fits, rates_of
+from recon.ik.settings import EXTENDED
 from recon.ik.stride import OVERSAMPLING, StridePath, find_stride
 
-EXTENDED = "extended"
-"""Name of the extended Jacobian with the requested cost."""
 Dim = Literal[2, 3]
 SLOWDOWN = 10
 """Factor by which a stride is followed more slowly than the animal ran it.

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,20 +18,18 @@ import pandas as pd
 
 from recon.animal.body import other_side
 from recon.animal.naming import load_names, map_to_write, new_names, renamed
-from recon.api.settings import RENAME, FrameRange
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.documents import read_head
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip import Keypoints, mark_missing, parse_frame_range, select_frames
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
 from recon.io.formats import as_keypoints, read_keypoints, recognised
 from recon.io.video import Image, probe, read_frames, read_picture
 from recon.io.writing import frames_text
+from recon.keypoint_net.settings import Evaluate2DSettings, LabelSource
 from recon.show.plain import picked
 
-SPLIT = "Split of the pictures"
 MAX_OUTSIDE_FRACTION = 0.1
 """Fraction of the labels outside their pictures above which the labels must belong to other pictures."""
 
@@ -67,24 +65,6 @@ class Labels:
         """Return the labels with pictures and positions scaled by a factor, with centres of pixels at whole numbers."""
         pictures = tuple(resize(picture, scale) for picture in self.pictures)
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
-
-
-class LabelSource(Settings):
-    """Labelled pictures, and how they are split for training, validation and test."""
-
-    data: Annotated[Path, Option(argument="DATA")]
-    """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
-    labels: Path | None = None
-    """Label file of the video, such as CollectedData_me.csv."""
-    first_frame: Integer = 0
-    """Frame number that the labels use for the video's first frame, such as 50 if 0050.png is the first frame."""
-    individual: str | None = None
-    """Name of the animal, if the labels have several animals."""
-    rename: Annotated[str | None, RENAME] = None
-    validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
-    """Pictures for validation and calibration, as a fraction or as frame numbers A:B (B excluded)."""
-    test: Annotated[str, Option(panel=SPLIT)] = "0"
-    """Pictures for the final test only, in the form of --validation."""
 
 
 def known_points(xy_px: Array) -> Bools:
@@ -397,26 +377,6 @@ PCK_PX = (2.5, 5.0, 10.0)
 """Distances from the labels up to which points are correct in the PCK, the percentage of correct keypoints."""
 PCK_RELATIVE = (0.05, 0.1, 0.2)
 """Distances for the PCK as fractions of the body length, the median diagonal of the box around an animal's labels."""
-
-
-class Evaluate2DSettings(Settings):
-    """Settings of `recon evaluate-2d`."""
-
-    predicted: Annotated[Path, Option(argument="PREDICTED")]
-    """Predicted keypoints in any known format, such as run.csv."""
-    labels: Annotated[Path, Option(argument="LABELS")]
-    """Labels in DeepLabCut's layout, such as CollectedData_me.csv."""
-    first_frame: Integer = 0
-    """Frame number that the labels use for frame 0 of the predictions."""
-    frames: FrameRange | None = None
-    """Frame numbers of the labels to compare, A:B (B excluded)."""
-    individual: str | None = None
-    """Name of the animal, if the files have several animals."""
-    rename: Annotated[str | None, RENAME] = None
-    likelihood_min: Annotated[Number, Option(expected="a number from 0 to 1")] = 0.5
-    """Smallest likelihood of a point that counts as likely."""
-    tolerance_px: Annotated[Positive, Option(expected="pixels above 0")] = 5.0
-    """Largest distance of a correct point from its label, for the reliability of the likelihoods."""
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:

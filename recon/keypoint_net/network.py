@@ -50,12 +50,13 @@ from recon.base.outputs import Output, output_file, require_suffix
 from recon.base.package import install_command
 from recon.base.parallel import available_cores
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.clip import Keypoints
 from recon.io.formats import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
 from recon.keypoint_net.labels import resize, scale_points
 from recon.keypoint_net.pictures import background_of_video, prefetched
+from recon.keypoint_net.settings import PredictSettings
 from recon.show.overlay import Colour, draw_circle
 
 if TYPE_CHECKING:
@@ -113,8 +114,6 @@ _PRIOR_SIGMA = np.array([0.5, 2.0])
 """Standard deviations of the prior on a calibration's slope and offset."""
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
-DEVICE = Option("Device on which the network runs: auto, cpu, cuda or mps.")
-THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more")
 
 
 def require_torch() -> ModuleType:
@@ -560,25 +559,6 @@ _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
 """Numbers of consecutive frames, their time stamps (s), their pictures at the network's scale, and the original
 pictures if points are drawn on them.
 """
-
-
-class PredictSettings(Settings):
-    """Settings of `recon predict`."""
-
-    video: Annotated[Path, Option(argument="VIDEO")]
-    """Video file, such as run.mp4."""
-    model: Annotated[Path, Option(metavar="DIR")]
-    """Folder of a trained network, such as models/run."""
-    out: Path
-    """Keypoint file to write, .csv or .h5, in DeepLabCut's layout."""
-    overlay: Path | None = None
-    """Also write a video with the points drawn on it, as .mp4 (MPEG-4), .webm (VP8) or .avi (Motion JPEG)."""
-    device: Annotated[str, DEVICE] = "auto"
-    threads: Annotated[Count | None, THREADS] = None
-    partial: bool = False
-    """Accept a video with fewer decodable frames than its header states."""
-    overwrite: bool = False
-    """Replace existing files."""
 
 
 def run_prediction(

@@ -23,13 +23,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from pydantic import Field
 
 from recon.base.arrays import Array, Bools, Integers, mean, median, to_plain
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
@@ -37,13 +36,14 @@ from recon.base.files import write_bytes
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Integer, Number, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.base.tables import write_frame
 from recon.base.version import __version__
 from recon.io.video import Image
 from recon.keypoint_net import labels as data
 from recon.keypoint_net import network as net
 from recon.keypoint_net import pictures
+from recon.keypoint_net.settings import LabelSource, TrainRunSettings, TrainSettings
 from recon.show.overlay import draw_circle, draw_line, draw_text
 from recon.show.plain import picked, to_json
 from recon.show.plots import style
@@ -69,43 +69,6 @@ EVALUATIONS = 30
 """Number of evaluations in a run."""
 MAX_AVERAGED_STEPS = 300.0
 """Maximum number of steps over which the weights are averaged. The average is shorter at the beginning."""
-TRAINING = "Training"
-
-
-class TrainSettings(Settings):
-    """Settings for training a network."""
-
-    minutes: Annotated[
-        Number, Field(ge=0.05), Option("Time to train, minutes.", "0.05 minutes or more", panel=TRAINING)
-    ] = 15.0
-    steps: Annotated[Count | None, Option(expected="1 or more", panel=TRAINING)] = None
-    """Number of steps, instead of a time; runs with the same number of steps give the same result."""
-    batch: Annotated[Count, Option(expected="1 or more", panel=TRAINING)] = 8
-    """Number of pictures per step."""
-    seed: Annotated[
-        Integer, Field(ge=0), Option("Seed of weights, split and augmentation.", "0 or more", panel=TRAINING)
-    ] = 0
-    mirror: Annotated[bool, Option(panel=TRAINING)] = False
-    """Also train on mirrored pictures with left and right names exchanged, for animals that run both ways but are
-    labelled running one way. Training takes longer.
-    """
-
-    def of_training(self) -> dict[str, Any]:
-        """Return the training settings alone, without the fields of subclasses."""
-        return {name: getattr(self, name) for name in TrainSettings.infos()}
-
-
-class TrainRunSettings(data.LabelSource, TrainSettings):
-    """Settings of `recon train`."""
-
-    out: Annotated[Path, Option(metavar="DIR")]
-    """Folder for the network and its report, such as models/horse."""
-    device: Annotated[str, net.DEVICE] = "auto"
-    threads: Annotated[Count | None, net.THREADS] = None
-    resume: bool = False
-    """Continue from the checkpoint in DIR."""
-    overwrite: bool = False
-    """Start again if DIR already has a network."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -677,7 +640,7 @@ def _excess_distance_px(xy_px: Array) -> Array:
 
 
 def run_training(
-    source: data.LabelSource,
+    source: LabelSource,
     settings: TrainSettings,
     out: Path,
     *,
@@ -707,7 +670,7 @@ def run_training(
     InputError
         If settings, labels or files are invalid, before anything is written. The error lists every problem.
     """
-    training_settings = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
+    training_settings = picked(source, *LabelSource.infos()) | picked(settings, *TrainSettings.infos())
     s = TrainRunSettings(out=out, **training_settings, **options)
     net.require_torch()
     chosen, labels, _ = collect_problems(

@@ -25,18 +25,18 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BeforeValidator, Field, StrictBool
+from pydantic import Field, StrictBool
 from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
 from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
-from recon.base.settings import Number, Option, Settings
 from recon.ik.chain import SerialChain, joint_chain
 from recon.robotics import models
 from recon.robotics.leg import Length, Limits
 from recon.robotics.quadruped import LEGS, SUFFIXES, body_pose, builtin_robots, leg_targets, load_robot
+from recon.robotics.settings import PoseSettings, TableSettings
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
@@ -169,41 +169,6 @@ def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> Rigi
     """Return a screw motion, which is a translation along an axis and a rotation about the same axis."""
     shift = distance_m * np.eye(3)["xyz".index(axis)]
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
-
-
-_split = BeforeValidator(lambda value: tuple(value.split(",")) if isinstance(value, str) else value)
-_Three = Annotated[tuple[Number, Number, Number], _split]
-_THREE = Option(expected="3 numbers with commas, such as 0.1,-20,3", metavar="X,Y,Z")
-
-
-class PoseSettings(Settings):
-    """Settings of `recon robot pose`."""
-
-    robot: Annotated[str, Option(argument="ROBOT")]
-    """a1, go2, aibo, or a .toml, .urdf or .xml (MJCF) file."""
-    move: Annotated[_Three | None, _THREE] = None
-    """Shift of the body forwards, left and up from standing, metres, as in 0,0,-0.02. (default: 0,0,0)"""
-    roll: Annotated[Number, Option(expected="degrees, such as 10")] = 0.0
-    """Roll in degrees, right side down."""
-    pitch: Annotated[Number, Option(expected="degrees, such as 10")] = 0.0
-    """Pitch in degrees, nose down."""
-    yaw: Annotated[Number, Option(expected="degrees, such as 10")] = 0.0
-    """Yaw in degrees, to the left."""
-
-
-class TableSettings(Settings):
-    """Settings of `recon robot dh`."""
-
-    source: Annotated[str, Option(argument="SOURCE")]
-    """Table of Denavit-Hartenberg parameters (.toml), robot (a1, go2, aibo or a file), or .urdf or .xml file."""
-    tip: str | None = None
-    """Leg (LF, RF, LH or RH), or the link at the end for a .urdf or .xml file. (default: the only leaf)"""
-    angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
-    """Show the position of the end for these angles, in degrees (metres for sliding joints), as in 0,45,-90."""
-    place: Annotated[_Three | None, _THREE] = None
-    """Show all angles that put the end at this position, in metres in base or body axes, such as 0.4,0.1,0.2."""
-    turned: Annotated[_Three | None, _THREE] = None
-    """Roll, pitch and yaw of the end for --place, degrees, as in 0,90,0. (default: any)"""
 
 
 ENDLESS = "the joints can move without moving the end: this is one of infinitely many solutions"

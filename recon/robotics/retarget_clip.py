@@ -29,20 +29,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from recon.api.clip_results import problem_of
-from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base import files, outputs
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.locks import sole_writer
 from recon.base.records import load_record, save_record
-from recon.base.settings import Integer, Option, Positive, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
@@ -54,49 +52,9 @@ from recon.robotics import physics
 from recon.robotics.models import MjModel
 from recon.robotics.quadruped import LEGS, Quadruped, builtin_robots, load_robot
 from recon.robotics.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMotion, reference_of, retarget
+from recon.robotics.settings import RATE_HZ, RetargetSettings
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
-
-MAX_SAMPLES = 10_000
-"""Largest number of motions that --samples draws."""
-RATE_HZ = 50.0
-"""Default frame rate of files for programs that train policies, frames per second."""
-
-
-class RetargetSettings(Settings):
-    """Settings of `recon retarget`."""
-
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Results folder of a fit, such as results/clip."""
-    robot: str
-    """a1, go2, aibo, or a .toml, .urdf or .xml (MJCF) file."""
-    out: Path
-    """Folder for tables, report and playback."""
-    scale: Annotated[Positive | None, Option(expected="a number above 0")] = None
-    """Factor on the animal's lengths. (default: the largest within reach and joint limits)"""
-    slower: Annotated[Positive | None, Option(expected="a number above 0")] = None
-    """Factor on the animal's times. (default: as large as the joints' rates require, at least 1)"""
-    stride: Annotated[StrideTimes | None, STRIDE] = None
-    format: Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None = None
-    """Also write files for programs that train policies, with velocities: amp, isaaclab, mjlab or mjlab-csv."""
-    rate: Annotated[Positive, Option(expected="a number above 0")] = RATE_HZ
-    """Frame rate of the files of --format, frames per second."""
-    samples: Annotated[
-        Annotated[Integer, Field(ge=2, le=MAX_SAMPLES)] | None, Option(expected=f"a number from 2 to {MAX_SAMPLES}")
-    ] = None
-    """Number of further motions to draw from the fit's posterior, such as 32."""
-    check: bool = False
-    """Check limits, torques, ground forces and colliding legs frame by frame with MuJoCo (the extra robots); write a
-    table, a figure and advice.
-    """
-    fit_limits: bool = False
-    """Change stride, duration and base path of the motion, and of the motions of --samples, as little as needed for
-    the robot to perform them, and check before and after. Needs MuJoCo (the extra robots).
-    """
-    anyway: Annotated[bool, ANYWAY] = False
-    overwrite: bool = False
-    """Replace earlier files."""
-
 
 REPORT, STACKED = "report.json", "samples.npz"
 STRIDE_REPEATS = 3

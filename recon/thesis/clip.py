@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from recon.animal.body import Body
 from recon.api.clip_inputs import prepare
@@ -11,7 +11,7 @@ from recon.api.settings import FitSettings
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.base.tables import write_frame
 from recon.base.threads import one_thread
 from recon.check.verdict import add_verdict
@@ -21,6 +21,7 @@ from recon.show.plain import to_json
 from recon.thesis.chain import load_chain
 from recon.thesis.inspect import TABLES, read_solver
 from recon.thesis.objectives import FrameOptions
+from recon.thesis.settings import SolverSettings
 from recon.thesis.solver import solve_frames
 from recon.thesis.start import parse_start_angles
 
@@ -55,30 +56,10 @@ def load_body(settings: FitSettings) -> Body:
     return load_chain(settings.skeleton_name).body
 
 
-FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
-"""Names of the folder that `recon solver` creates in the results folder by default, and of two of its files."""
+SUMMARY, JACOBIAN = "solver.json", "jacobian.npz"
+"""Two of the files that `recon solver` writes."""
 FIGURES_BEGIN = 0.5
 """Fraction of the progress of `recon solver` at which drawing of figures begins."""
-
-
-class SolverSettings(Settings):
-    """Settings of `recon solver`."""
-
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Results folder of recon frame, such as results/clip."""
-    out: Path | None = None
-    """Folder for tables and figures. (default: solver in DIR)"""
-    frame: Integer | None = None
-    """Frame whose search is shown. (default: the frame with the most evaluations)"""
-    figures: bool = True
-    """Write figures (PNG and SVG) next to the tables."""
-    overwrite: bool = False
-    """Replace earlier tables."""
-
-    @property
-    def out_folder(self) -> Path:
-        """Return the folder for tables and figures, by default `solver` in the results folder."""
-        return self.folder / FOLDER if self.out is None else self.out
 
 
 def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[dict[str, Any], list[Path]]:

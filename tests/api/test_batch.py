@@ -21,7 +21,7 @@ from batches import CAMERA, QUICK, found, manifest, staging_folders, table
 from command_line import refusal, refused, run, run_tasks_here, says
 
 from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
-from recon.api.analyse import AnalyseSettings
+from recon.api.analysis_settings import AnalyseSettings
 from recon.api.batch import RECORD, Summary, fit_planned, input_problems
 from recon.api.batch_inputs import Clip
 from recon.api.clip_results import Record, run_clip

@@ -19,9 +19,10 @@ from recon import FitSettings, Keypoints, read_keypoints, write_clip
 from recon.api.clip_results import output_of
 from recon.base.outputs import Output
 from recon.cli.answers import Answer
-from recon.cli.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
+from recon.cli.run import _Job, job_of, jobs_of, keypoints_of, run_folder, run_video
+from recon.cli.video_options import RunSettings
 from recon.io.video import video_writer
-from recon.keypoint_net.network import PredictSettings
+from recon.keypoint_net.settings import PredictSettings
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 ALL = ["fit", "analyse", "overlay", "playback", "page"]
@@ -85,9 +86,9 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
     monkeypatch.setattr("recon.cli.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.cli.run.fit_into", write_results)
     monkeypatch.setattr("recon.cli.run.analyse_command", does("analyse", "analysis/analysis.json"))
-    monkeypatch.setattr("recon.cli.run.overlay", does("overlay", "overlay.mp4", ["uneven in time"]))
+    monkeypatch.setattr("recon.cli.run.draw_overlay", does("overlay", "overlay.mp4", ["uneven in time"]))
     monkeypatch.setattr("recon.cli.run.write_recording", does("playback", "playback.rrd"))
-    monkeypatch.setattr("recon.cli.run.report", does("page", "report.html"))
+    monkeypatch.setattr("recon.cli.run.make_page", does("page", "report.html"))
     return names
 
 
@@ -103,7 +104,7 @@ def job(film: Path, **more) -> _Job:
     given = {"camera": SAMPLES / "camera.toml", **more.pop("given", {})}
     if "model" not in more:
         more["keypoints"] = film.parent / "points.csv"
-    return job_of(_RunSettings(video=film, out=film.parent / "out", **more), given)
+    return job_of(RunSettings(video=film, out=film.parent / "out", **more), given)
 
 
 def done(job: _Job, called: list[str]) -> list[str]:
@@ -151,7 +152,7 @@ def test_corrections_in_the_folder_are_used(film, called):
     shutil.copy(out / "corrections.csv", chosen)
     assert job(film, corrections=chosen).fit.corrections == chosen
     with refusal(("--corrections", "corrections", "a folder of videos", "corrections.csv in the folder")):
-        _RunSettings(video=film.parent, out=out, keypoints=film.parent, corrections=chosen)
+        RunSettings(video=film.parent, out=out, keypoints=film.parent, corrections=chosen)
 
 
 def test_the_network_runs_again_only_if_it_changed(film, called):
@@ -166,7 +167,7 @@ def test_the_network_runs_again_only_if_it_changed(film, called):
 def test_finished_stages_do_not_depend_on_the_working_directory(film, called, monkeypatch):
     monkeypatch.chdir(film.parent)
     camera = {"camera": SAMPLES / "camera.toml"}
-    turns = _RunSettings(video=Path("run.avi"), out=Path("out"), model=Path("net"), camera_motion="turns")
+    turns = RunSettings(video=Path("run.avi"), out=Path("out"), model=Path("net"), camera_motion="turns")
     here = job_of(turns, camera)
     assert done(here, called) == ["detect", "camera-motion", *ALL]
     assert done(here, called) == []
@@ -195,7 +196,7 @@ def test_an_interrupted_stage_is_repeated(film, called, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("recon.cli.run.overlay", interrupted)
+        patch.setattr("recon.cli.run.draw_overlay", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run_video(job(film))
     assert called == ["fit", "analyse"]
@@ -320,7 +321,7 @@ def test_all_stages_run_on_a_rendered_film(tmp_path, monkeypatch):
     )
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
     job = job_of(
-        _RunSettings(video=SAMPLES / "rendered.mp4", out=tmp_path / "out", keypoints=SAMPLES / "rendered_points.csv"),
+        RunSettings(video=SAMPLES / "rendered.mp4", out=tmp_path / "out", keypoints=SAMPLES / "rendered_points.csv"),
         given,
     )
     stages, shares = [], []
@@ -384,7 +385,7 @@ def test_a_folder_of_videos_is_run_as_a_batch(tmp_path, called, monkeypatch):
     assert 'href="a/report.html"' in table
     (videos / "b.csv").unlink()
     with refusal((videos, "keypoints of b.avi", "none")):
-        jobs_of(_RunSettings(video=videos, out=tmp_path / "all", keypoints=videos), {"camera": SAMPLES / "camera.toml"})
+        jobs_of(RunSettings(video=videos, out=tmp_path / "all", keypoints=videos), {"camera": SAMPLES / "camera.toml"})
     with refusal((tmp_path / "all", "files", "no videos", ".avi")):
-        jobs_of(_RunSettings(video=tmp_path / "all", out=tmp_path / "all", keypoints=videos), {})
+        jobs_of(RunSettings(video=tmp_path / "all", out=tmp_path / "all", keypoints=videos), {})
     assert run_folder([], tmp_path / "none").counts() == {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import subprocess
 import sys
@@ -15,6 +16,20 @@ import recon
 
 ROOT = Path(__file__).resolve().parents[2]
 SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "torch", "matplotlib", "h5py", "tables"}
+
+
+EVERY_COMMAND = """
+import json, sys
+from recon.cli.app import COMMANDS
+first_command = {}
+for commands in COMMANDS.values():
+    for name, (function, _) in commands.items():
+        function()
+        for module in list(sys.modules):
+            first_command.setdefault(module, name)
+print(json.dumps(first_command))
+"""
+"""Program that imports the function of every command, and prints which command first imports each module."""
 
 
 def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[str]:
@@ -30,6 +45,13 @@ def test_help_and_version_import_no_slow_library(option):
     modules = imported_by(option)
     assert "typer" in modules
     assert modules & SLOW == set()
+
+
+def test_no_command_imports_a_slow_library_for_its_help():
+    done = subprocess.run([sys.executable, "-c", EVERY_COMMAND], capture_output=True, text=True, check=True)
+    first_command = json.loads(done.stdout)
+    assert {"recon.cli.fit", "recon.cli.doctor"} <= {*first_command}
+    assert {module: name for module, name in first_command.items() if module in SLOW - {"numpy"}} == {}
 
 
 @pytest.mark.slow

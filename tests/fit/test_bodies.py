@@ -33,8 +33,9 @@ from recon.animal.naming import fitting_maps, load_names, new_names
 from recon.animal.prior import prior_from_body
 from recon.api.clip_inputs import prepare
 from recon.api.clip_results import run_clip
+from recon.api.model_settings import SkeletonDraftSettings
 from recon.api.skeleton_check import check_skeleton
-from recon.api.skeleton_draft import SkeletonDraftSettings, draft_from_points, draft_skeleton
+from recon.api.skeleton_draft import draft_from_points, draft_skeleton
 from recon.cli.models import skeleton_from_keypoints
 from recon.clip import View, camera_poses, still_view
 from recon.fit import posterior, starts

@@ -18,7 +18,7 @@ from recon.cli.ik import CLOSES_PERCENT
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import STRIDE_WORDS, pose_gait
-from recon.ik.clip import METHODS, IkSettings, run_ik
+from recon.ik.clip import run_ik
 from recon.ik.drive import drive_to
 from recon.ik.figures import parameter_series
 from recon.ik.limb import (
@@ -34,6 +34,7 @@ from recon.ik.limb import (
 )
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
 from recon.ik.parameters import EQUAL_WEIGHT_PULL, SEARCH_RANGE, Frames, explained_by, fits, rates_of
+from recon.ik.settings import METHODS, IkSettings
 from recon.io.common import Pose3D
 from recon.testing.gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 

@@ -15,7 +15,7 @@ from networks import NAMES, grey, write_labels
 
 from recon import evaluate_files, find_clips
 from recon.animal.naming import load_names
-from recon.api.skeleton_draft import SkeletonDraftSettings
+from recon.api.model_settings import SkeletonDraftSettings
 from recon.cli.models import skeleton_from_keypoints
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.io.formats import read_keypoints

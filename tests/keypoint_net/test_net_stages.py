@@ -14,7 +14,6 @@ from networks import narrow_networks
 
 from recon.io.video import video_writer
 from recon.keypoint_net import network, pictures
-from recon.keypoint_net.labels import LabelSource
 from recon.keypoint_net.network import (
     FORMAT,
     MODEL_FILE,
@@ -26,7 +25,8 @@ from recon.keypoint_net.network import (
     run_prediction,
 )
 from recon.keypoint_net.pictures import network_scales
-from recon.keypoint_net.train import CHECKPOINT_FILE, TrainSettings, run_training
+from recon.keypoint_net.settings import LabelSource, TrainSettings
+from recon.keypoint_net.train import CHECKPOINT_FILE, run_training
 
 pytestmark = needs_torch
 

@@ -20,8 +20,8 @@ from recon.io.formats import read_keypoints
 from recon.io.video import VideoInfo, probe, video_writer
 from recon.keypoint_net import network as predict_module
 from recon.keypoint_net import train as train_module
-from recon.keypoint_net.labels import LabelSource
 from recon.keypoint_net.network import load_torch, run_prediction
+from recon.keypoint_net.settings import LabelSource
 from recon.keypoint_net.train import (
     MEASURED_ERRORS,
     TrainSettings,

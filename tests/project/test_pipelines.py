@@ -24,7 +24,7 @@ PIPELINES = ROOT / "pipelines"
 SCRIPTS = sorted(path.stem for path in PIPELINES.glob("*.py"))
 SAMPLES = ROOT / "data" / "samples"
 WINGS = {
-    "published_study": {"recon.ik.clip import IkSettings, run_ik", "recon.thesis.inspect import read_solver"},
+    "published_study": {"recon.thesis.inspect import read_solver"},
 }
 """Imports from optional rooms that a script may have, by script."""
 MOST_LINES = 50

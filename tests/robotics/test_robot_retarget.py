@@ -30,7 +30,8 @@ from recon.robotics.retarget import (
     stride_window,
     within_reach,
 )
-from recon.robotics.retarget_clip import RetargetSettings, companion, repeated, report_of, run_retarget
+from recon.robotics.retarget_clip import companion, repeated, report_of, run_retarget
+from recon.robotics.settings import RetargetSettings
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 
 

@@ -16,7 +16,8 @@ from recon.fit.sampling import draws
 from recon.robotics.physics import check, kept, simulated
 from recon.robotics.quadruped import load_robot
 from recon.robotics.retarget import Retargeting, reference_of, retarget
-from recon.robotics.retarget_clip import FORMATS, RetargetSettings, RobotSamples, drawn, write_for_trainer
+from recon.robotics.retarget_clip import FORMATS, RobotSamples, drawn, write_for_trainer
+from recon.robotics.settings import RetargetSettings
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
 """Lateral offset, thigh and shin of the Unitree A1's legs, metres."""

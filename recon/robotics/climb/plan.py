@@ -46,7 +46,7 @@ from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.files import MANIFEST, relative_name
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output
-from recon.base.settings import Number, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.geometry.frames import rigid
 from recon.io.writing import write_rows
 from recon.robotics.leg import Length, PositiveLength
@@ -55,6 +55,7 @@ from recon.robotics.playback import write_robot
 from recon.robotics.quadruped import LEGS, Quadruped, leg_targets, load_robot
 from recon.robotics.retarget import RobotMotion, posed
 from recon.robotics.retarget_clip import write_tables
+from recon.robotics.settings import ClimbSettings
 from recon.show.plain import to_json
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
@@ -521,21 +522,6 @@ def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
     """Return a step (6,), scaled down as a whole until its displacement and its rotation are within the limits."""
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
-
-
-class ClimbSettings(Settings):
-    """Settings of `recon climb`."""
-
-    recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
-    """found-50, published-50, highest-spatial or a .toml file."""
-    out: Path
-    """Folder for tables, figures and playback."""
-    height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, such as 0.045")] = None
-    """Height of the step, metres; the footfalls' heights are scaled in proportion. (default: the recipe's)"""
-    figures: bool = True
-    """Also write figures as PNG and SVG."""
-    overwrite: bool = False
-    """Replace earlier files."""
 
 
 REPORT, PLAYBACK = "report.json", "climb.rrd"
