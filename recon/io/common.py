@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from recon.base.arrays import Brief
 from recon.base.documents import damage_as_input_error
@@ -356,6 +357,9 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
     ]
 
 
+_JSON_NUMBERS = TypeAdapter(list[float])
+
+
 def number(text: str) -> float:
     """Return the string in a table's cell as a number, NaN for an empty cell.
 
@@ -372,12 +376,12 @@ def number(text: str) -> float:
 def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     """Return cells (N,) as floats, NaN for `MISSING`, and the indices of cells that are infinite or not numbers."""
     cells = list(cells)
-    with suppress(ValueError, TypeError):  # fast conversion, if all cells are numbers
-        joined = "".join(cells)  # type: ignore[arg-type]
-        if not joined:  # nothing was detected, as in most frames of a long recording
+    with suppress(ValueError, TypeError):  # numbers in JSON are read three times as fast as by float
+        if not "".join(cells):  # type: ignore[arg-type]  # nothing was detected, as in most frames of a long recording
             return np.full(len(cells), np.nan), []
-        if "_" not in joined and joined.isascii():
-            values = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]
+        text = ",".join([cell or "NaN" for cell in cells])  # type: ignore[misc]
+        values = np.array(_JSON_NUMBERS.validate_json(f"[{text}]".replace("nan", "NaN"), strict=True))
+        if len(values) == len(cells):  # no cell has a comma
             return values, np.flatnonzero(np.isinf(values)).tolist()
     if all(isinstance(cell, float) for cell in cells):  # cells of Parquet files and of tables in memory
         values = np.array(cells, dtype=float)

@@ -14,7 +14,7 @@ from command_line import refusal, says
 from recon import InputError
 from recon.clip import Keypoints, clean
 from recon.io import hdf5_poses
-from recon.io.common import Pose3D
+from recon.io.common import Pose3D, numbers
 from recon.io.formats import individuals, read_keypoints
 from recon.io.positions import read_pose3d
 
@@ -407,6 +407,22 @@ def test_missing_header_row_is_noted(tmp_path):
     assert clean(headless, 0.5)[1].notes == (note,)
     np.testing.assert_array_equal(headless.xy_px, whole.xy_px)
     np.testing.assert_array_equal(headless.confidence, whole.confidence)
+
+
+@pytest.mark.parametrize(
+    ("cell", "value"),
+    [
+        *[("-0.1", -0.1), ("123456789.12345679", 123456789.12345679), ("1.0e-05", 1e-5), ("7", 7.0), (" 2 ", 2.0)],
+        *[("", np.nan), (" ", np.nan), ("nan", np.nan), ("NaN", np.nan), ("null", np.nan), (None, np.nan)],
+        *[("+1", 1.0), (".5", 0.5), ("1.", 1.0), ("01", 1.0)],
+        *[(text, None) for text in ("1,2", "true", '"1"', "[1]", "1e400", "inf", "Infinity", "1_0", "1 2", "x")],
+    ],
+)
+def test_cells_become_numbers_or_are_listed(cell, value):
+    values, wrong = numbers(["1.5", cell, "", "2"])
+    assert wrong == ([1] if value is None else [])
+    expected = [1.5, values[1] if value is None else value, np.nan, 2.0]
+    assert np.array_equal(values, expected, equal_nan=True)
 
 
 @pytest.mark.parametrize("cell", ["1_000.5", "１", "٣", "1e5_0", "0x10"])
