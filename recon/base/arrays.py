@@ -92,13 +92,14 @@ def median(values: Array | Sequence[float]) -> float:
 
 
 def running_median(values: Array, count: int) -> Array:
-    """Return the running median of values (N, ...) over `count` rows, an odd number.
+    """Return the running median of values (N, ...) without NaN over `count` rows, an odd number.
 
     The first and the last row are repeated beyond the ends. scipy.ndimage.median_filter gives the same values, but its
     import takes longer than the medians.
     """
     rows = np.arange(len(values))[:, None] + np.arange(count) - count // 2
-    return np.median(values[np.clip(rows, 0, len(values) - 1)], axis=1)
+    windows = np.sort(values[np.clip(rows, 0, len(values) - 1)], axis=1)  # several times as fast as np.median
+    return windows[:, count // 2]
 
 
 def mean_along(values: Array, axis: int | tuple[int, ...]) -> Array:
