@@ -74,6 +74,8 @@ class Normal:
     """Curvature of the cost with respect to the shared unknowns, C, shape (P, P)."""
     shared_gradient: Array
     """Gradient of the cost with respect to the shared unknowns, shape (P,)."""
+    cost: float = 0.0
+    """Contribution to the cost. The contributions of all pieces of a clip add up to the cost of the clip."""
 
     def without_shared(self) -> Normal:
         """Return the normal equations of the frames alone, with the shared unknowns fixed."""
@@ -84,7 +86,8 @@ class Normal:
         return replace(self, border=np.zeros((*self.gradient.shape, 0)))
 
 
-_NO_PIECE = Normal(*5 * (np.zeros(0),))
+_EMPTY = np.zeros(0)
+_NO_PIECE = Normal(_EMPTY, _EMPTY, _EMPTY, _EMPTY, _EMPTY)
 
 
 @dataclass(frozen=True)
@@ -167,8 +170,8 @@ class Window:
         return np.concatenate([corner, gradient[:, None]], axis=1)
 
 
-def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> tuple[Array, Array, float]:
-    """Return the damped step of the frames (T, D) and of the shared unknowns (P,), and the cost's slope along it.
+def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> tuple[Array, Array, float, float]:
+    """Return the damped step of frames (T, D) and shared unknowns (P,), the cost's slope along it, and the cost.
 
     The parameters are those of `eliminated`.
 
@@ -179,12 +182,14 @@ def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> 
     """
     windows, gradients, kept = list[tuple[Window | Array, Array]](), list[Array](), 0
     shared_gradient: Array | float = 0.0
+    cost = 0.0
     for window in eliminated(pieces, damping, ahead=ahead):
         kept += window.factor.band.size + window.whitened.size
         is_kept = window.whitened.shape[-1] >= _MIN_BLOCK_COLUMNS and kept < _MAX_KEPT_VALUES
         windows.append((window.without_piece() if is_kept else window.solved(), window.reduced()))
         gradients.append(window.piece.gradient)
         shared_gradient = shared_gradient + window.piece.shared_gradient
+        cost += window.piece.cost
     reduced = np.sum([part for _, part in windows], axis=0)
     corner, gradient = reduced[:, :-1], reduced[:, -1]
     shared = -np.asarray(np.linalg.solve(corner + damping * np.eye(len(corner)), gradient), dtype=float)
@@ -196,7 +201,7 @@ def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> 
 
     steps = [frames_step(part) for part, _ in windows]
     slope = sum(float(np.vdot(*pair)) for pair in zip(gradients, steps, strict=True))
-    return np.concatenate(steps), shared, slope + float(np.vdot(shared_gradient, shared))
+    return np.concatenate(steps), shared, slope + float(np.vdot(shared_gradient, shared)), cost
 
 
 def eliminated(

@@ -213,6 +213,7 @@ class LeastSquares:
         precision = np.concatenate([empty, *(unknown.sigma**-2.0 for unknown in self.shared)])
         deviation = np.concatenate([empty, *(shared[unknown.name] - unknown.mean for unknown in self.shared)])
         linear = [(term, term.residual(states)) for term in self.linear]
+        cost = 0.5 * float(deviation**2 @ precision + sum(np.vdot(residual, residual) for _, residual in linear))
         spans, P = self.spans(states, shared, jacobian=True, rows=slice(start, stops[-1])), len(deviation)
         span, overlap = next(spans, None), None
         for stop in stops:
@@ -232,31 +233,35 @@ class LeastSquares:
                 _add_linear_gradient(gradient, term, residual, term.frames(T), start, stop)
             sums = _Sums(blocks, gradient, border, corner, shared_gradient)
             while span is not None and span.first < stop:
-                self._add_span(sums, span, start)
+                cost += self._add_span(sums, span, start)
                 span = next(spans, None)
             overlap = (blocks[n], gradient[n], border[n]) if has_next else None
-            yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient)
-            start = stop
+            yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient, cost)
+            start, cost = stop, 0.0
 
-    def _add_span(self, sums: _Sums, span: Span, start: int) -> None:
-        """Add the normal equations of a span's non-linear terms to `sums`, whose first frame is `start`."""
+    def _add_span(self, sums: _Sums, span: Span, start: int) -> float:
+        """Add the normal equations of a span's non-linear terms to `sums`, and return the terms' cost.
+
+        `start` is the first frame of `sums`.
+        """
         by_shape, first = self._by_shape(span), span.first - start
         merged = self._cameras_in_step(span)
-        if merged:
-            _add_detections(sums, self.columns, merged, span, start, by_shape)
+        cost = _add_detections(sums, self.columns, merged, span, start, by_shape) if merged else 0.0
         by_stencil: dict[tuple[int, ...], list[TermRows]] = {}
         for term in self.terms:
             if any(term is camera for camera in merged):
                 continue
             if isinstance(term, PoseMixture):
                 frames = slice(first, first + span.own_rows.stop)
-                term.add_normal(span, sums.blocks[frames, 0], sums.gradient[frames])
+                cost += float(term.add_normal(span, sums.blocks[frames, 0], sums.gradient[frames]).sum())
                 continue
             by_stencil.setdefault(term.stencil, []).append(_rows_with_shape(term, span, by_shape))
         for stencil, rows_of_terms in by_stencil.items():  # the blocks are passed through only once for each stencil
             rows = _together(rows_of_terms)
+            cost += float(rows.cost.sum())
             add_normal(sums.blocks, sums.gradient, first, stencil, rows.residual, rows.jacobian)
             _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, stencil, rows)
+        return cost
 
     def minimise(
         self,
@@ -273,14 +278,13 @@ class LeastSquares:
         search is given up if the cost after `_TRIAL_ITERATIONS` iterations is above `useful_cost`.
         """
         shared = self.expected() if shared is None else shared
-        current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
+        current, damping = Estimate(states, np.nan, 0, False, shared), _FIRST_DAMPING  # the step computes the cost
         last_decrease = 0.0
         for iteration in range(1, max_iterations + 1):
-            enough = tolerance * max(abs(current.cost), 1.0)
-            lower, is_whole, damping = self._damped_step(current, damping, enough)
+            current, lower, is_whole, damping = self._damped_step(current, damping, tolerance)
             decrease = 0.0 if lower is None else current.cost - lower.cost
             rate = decrease / last_decrease if is_whole and last_decrease else 1.0
-            done = min(rate, 1.0) * decrease < enough
+            done = min(rate, 1.0) * decrease < _enough(current.cost, tolerance)
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # also if no direction lowers the cost, which is a minimum to rounding
                 break
@@ -289,33 +293,42 @@ class LeastSquares:
             last_decrease = decrease if is_whole else 0.0
         return current
 
-    def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, bool, float]:
-        """Return an estimate of lower cost along a step, whether it is the whole step or more, and the next damping.
+    def _damped_step(
+        self, current: Estimate, damping: float, tolerance: float
+    ) -> tuple[Estimate, Estimate | None, bool, float]:
+        """Return the current estimate and one of lower cost along a step, whether its step is whole, and a damping.
 
-        The estimate is None if no damping leads to a lower cost. A step is extended only if this lowers the cost by
-        more than `_MIN_EXTENSION_GAIN` times `enough`.
+        The current estimate may come without its cost (NaN), and is returned with it. The other estimate is None if no
+        damping leads to a lower cost. Its step is whole if it was not shortened. A step is extended only if this lowers
+        the cost by more than `_MIN_EXTENSION_GAIN` times the decrease at which the search ends. The damping is that of
+        the next step.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MAX_DAMPING:
             try:
-                states_step, shared_step, slope = step(normals(), damping, self.ahead)
+                states_step, shared_step, slope, cost = step(normals(), damping, self.ahead)
+                if math.isnan(current.cost):
+                    current = replace(current, cost=cost)
                 for fraction in _STEP_FRACTIONS:
                     trial = self._moved(current, states_step, shared_step, fraction)
                     if trial.cost < current.cost:
                         next_damping = max(damping * (0.2 if fraction == 1.0 else 0.6), _MIN_DAMPING)
                         if fraction < 1.0:
-                            return trial, False, next_damping
+                            return current, trial, False, next_damping
                         # If the cost fell by more than half the slope, it curves less than its quadratic model.
                         beyond = current.cost - trial.cost + 0.5 * slope
-                        if _MIN_EXTENSION_GAIN * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
+                        least = _MIN_EXTENSION_GAIN * _enough(current.cost, tolerance)
+                        if least < beyond < _enough(current.cost, 0.5):
                             length = _best_length(current.cost - trial.cost, slope)
                             further = self._moved(current, states_step, shared_step, length)
                             trial = further if further.cost < trial.cost else trial
-                        return trial, True, next_damping
+                        return current, trial, True, next_damping
             except np.linalg.LinAlgError:  # the matrix is not positive definite to rounding, and needs more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
-        return None, False, damping
+        if math.isnan(current.cost):  # no step could be computed
+            current = replace(current, cost=self.cost(current.states, current.shared))
+        return current, None, False, damping
 
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
         """Return the values of the unknowns after a fraction of a step, with their cost.
@@ -339,18 +352,16 @@ class LeastSquares:
         pose = tree.pose_with_jacobian if jacobian else tree.pose
         if not any(isinstance(term, MARKER_TERMS) for term in self.terms):
             pose = _no_markers
-        names = [segment.name for segment in tree.segments]
-        segment_of_marker = [names.index(marker.segment) for marker in tree.markers]
+        segment_of_marker: list[int] | None = None
+        if jacobian and COMMON_KEYPOINT_BIAS in shared and self.shape is None:
+            names = [segment.name for segment in tree.segments]
+            segment_of_marker = [names.index(marker.segment) for marker in tree.markers]
         start, stop, _ = rows.indices(len(states))
         for first in range(start, stop, _FRAMES_AT_ONCE):
             span_states = states[first : min(first + _FRAMES_AT_ONCE, stop) + 1]
             last = first + len(span_states) == len(states)
-            orientations = (
-                tree.orientations(span_states)[:, segment_of_marker]
-                if jacobian and COMMON_KEYPOINT_BIAS in shared and self.shape is None
-                else None
-            )
-            yield Span(first, span_states, pose(span_states), last, shared, orientations)
+            rotations = None if segment_of_marker is None else tree.orientations(span_states)[:, segment_of_marker]
+            yield Span(first, span_states, pose(span_states), last, shared, rotations)
             if last:
                 return
 
@@ -396,6 +407,11 @@ def _no_markers(states: Array) -> TreePose:
     return TreePose(np.zeros((len(states), 0, 3)), np.zeros((len(states), 0, 3, states.shape[1])))
 
 
+def _enough(cost: float, tolerance: float) -> float:
+    """Return the decrease of a cost at which a search with a relative tolerance ends."""
+    return tolerance * max(abs(cost), 1.0)
+
+
 def _best_length(decrease: float, slope: float) -> float:
     """Return the factor on a step, at most `_MAX_EXTENSION`, that minimises a parabola through the costs."""
     bend = -decrease - slope  # the cost at length x is slope x + bend x^2
@@ -429,8 +445,8 @@ def _add_detections(
     span: Span,
     start: int,
     by_shape: _ByShape | None,
-) -> None:
-    """Add the normal equations of several cameras' detections, in place.
+) -> float:
+    """Add the normal equations of several cameras' detections in place, and return the cost of the detections.
 
     The result is the same as from `add_normal` and `_add_shared` with each camera's residuals. The residuals of a
     camera depend on a marker only through its position p, with the derivatives B (2, 3). The position has the
@@ -482,6 +498,7 @@ def _add_detections(
         gradient[bias] += np.sum(R_T @ pull[..., None], axis=0).ravel()
         if W_L is not None:
             _add_pair(corner, bias, np.r_[columns[LENGTHS]], _by_joint(R, W_L.reshape(N, J, 3, -1)))
+    return sum(float(points.cost.sum()) for points in every_camera)
 
 
 def _own_unknowns(columns: Mapping[str, slice], every_camera: Sequence[PointRows]) -> tuple[Integers, Array]:

@@ -60,7 +60,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import tee
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dtrmm
@@ -395,7 +395,7 @@ class _EquationsByNoise:
         if whole is None or undetected is None:
             return None
 
-        def scaled(name: str) -> Array:
+        def scaled(name: str) -> Any:
             rest = getattr(undetected, name)
             return (getattr(whole, name) - rest) / factor + rest
 

@@ -326,14 +326,16 @@ class PoseMixture:
         residual = np.asarray(np.linalg.solve(root, gradient[..., None])[..., 0], dtype=float)
         return TermRows(cost, residual, rows)
 
-    def add_normal(self, span: Span, blocks: Array, gradient: Array) -> None:
+    def add_normal(self, span: Span, blocks: Array, gradient: Array) -> Array:
         """Add the curvature to a span's blocks (N, D, D) and the gradient to its gradient (N, D), in place.
 
-        The curvature and the gradient equal J'J and J'r from `evaluate`, but need no Cholesky root.
+        The curvature and the gradient equal J'J and J'r from `evaluate`, but need no Cholesky root. The result is the
+        cost in each frame, (N,).
         """
-        _, by_angles, precision = self._expanded(span, jacobian=True)
+        cost, by_angles, precision = self._expanded(span, jacobian=True)
         gradient[:, ANGLES] += by_angles
         blocks[:, ANGLES, ANGLES] += precision
+        return cost
 
     def _expanded(self, span: Span, jacobian: bool) -> tuple[Array, Array, Array]:
         """Return the cost (N,), and with `jacobian` its gradient (N, A) and curvature (N, A, A) for the angles."""

@@ -253,6 +253,7 @@ def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
     for name in ("corner", "shared_gradient"):
         both = sum(getattr(part, name) for part in parts), getattr(whole, name)
         np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
+    assert sum(part.cost for part in parts) == pytest.approx(problem.cost(states, shared))
 
 
 def test_a_middle_piece_equals_its_part_of_the_clip(monkeypatch):
@@ -315,6 +316,17 @@ def test_search_reports_that_it_did_not_converge():
     assert found.iterations == 2
 
 
+def test_a_search_without_any_step_ends_at_its_start(monkeypatch):
+    def no_step(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(module, "step", no_step)
+    problem, states = whole_problem(), some_states()
+    found = problem.minimise(states, 1e-6, 10)
+    assert (found.converged, found.iterations, found.cost) == (True, 1, problem.cost(states))
+    np.testing.assert_array_equal(found.states, states)
+
+
 @pytest.mark.parametrize(
     ("whole_until", "iterations"),
     [
@@ -325,11 +337,12 @@ def test_search_reports_that_it_did_not_converge():
 def test_a_search_ends_when_the_next_step_will_gain_too_little(monkeypatch, whole_until, iterations):
     decreases = iter((500.0, 50.0, 5.0, 0.5, 0.05))
 
-    def damped_step(problem, current, damping, enough):
-        return replace(current, cost=current.cost - next(decreases)), current.iterations < whole_until, damping
+    def damped_step(problem, current, damping, tolerance):
+        current = replace(current, cost=1000.0) if np.isnan(current.cost) else current
+        lower = replace(current, cost=current.cost - next(decreases))
+        return current, lower, current.iterations < whole_until, damping
 
     monkeypatch.setattr(LeastSquares, "_damped_step", damped_step)
-    monkeypatch.setattr(LeastSquares, "cost", lambda *_: 1000.0)
     estimate = whole_problem().minimise(some_states(), 0.002, 10)
     assert estimate.converged
     assert estimate.iterations == iterations
@@ -337,11 +350,11 @@ def test_a_search_ends_when_the_next_step_will_gain_too_little(monkeypatch, whol
 
 @pytest.mark.parametrize(("useful_cost", "iterations"), [(960.0, 10), (959.0, 4), (1000.0, 10)])
 def test_a_search_far_above_the_useful_cost_is_given_up(monkeypatch, useful_cost, iterations):
-    def damped_step(problem, current, damping, enough):
-        return replace(current, cost=current.cost - 10.0), False, damping
+    def damped_step(problem, current, damping, tolerance):
+        current = replace(current, cost=1000.0) if np.isnan(current.cost) else current
+        return current, replace(current, cost=current.cost - 10.0), False, damping
 
     monkeypatch.setattr(LeastSquares, "_damped_step", damped_step)
-    monkeypatch.setattr(LeastSquares, "cost", lambda *_: 1000.0)
     estimate = whole_problem().minimise(some_states(), 1e-6, 10, useful_cost=useful_cost)
     assert (estimate.converged, estimate.iterations) == (False, iterations)
 
