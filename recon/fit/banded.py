@@ -369,13 +369,13 @@ class _Factor:
     def _marginals(self, later: Array | None) -> tuple[Array, Array]:
         """Return `marginal_blocks`, and the covariance ((W+1)D, (W+1)D) of the first W + 1 frames."""
         D, P, roots, below = self.D, len(self.band), self._roots, self._columns[:, self.D :]
-        T = len(roots)
+        T, width = len(roots), self.width
         rows = np.empty((T, D, P))  # Z[t, t], Z[t, later]
         window, last = np.zeros((P, P)), np.zeros((P, P))  # Z of frames t, later, which is zero beyond the last frame
         if later is not None:
-            last[: self.width, : self.width] = later
+            last[:width, :width] = later
         for t in range(T - 1, -1, -1):
-            covariance_later = last[: self.width, : self.width]
+            covariance_later = last[:width, :width]
             minus_gain = roots[t] @ below[t].T
             across = minus_gain @ covariance_later
             block = roots[t] @ roots[t].T + across @ minus_gain.T

@@ -26,13 +26,15 @@ regression*, Technometrics 19, 1977). The squared displacements of the joints ad
     r' P A Q A' P r,   P = (I sigma^2 / w - A Z A')^-1
 
 Only the blocks of Z and Q within each frame are needed. To first order, Z(H) - Z(H + e G) = e Q. The recursion that
-gives Z (`recon.fit.banded`) therefore gives Q as well, if it is repeated with H + e G.
+gives Z (`recon.fit.banded`) therefore gives Q as well, if it is repeated with H + e G. The step e follows from the
+solution's covariances.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import tee
 
 import numpy as np
 
@@ -50,10 +52,8 @@ _MAX_WEIGHT = 0.99
 """Maximum weight w of a detection in the displacement, because P may not exist for a weight of 1."""
 _FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, to limit the memory."""
-_FRAMES_KEPT = 5000
-"""Maximum number of frames of a segment whose normal equations are kept in memory instead of computed twice."""
 _RELATIVE_STEP = 1e-4
-"""Trace of e Z G in the frame where it is largest, which sets the step e of the numerical derivative of Z."""
+"""Approximate trace of e Z G in the frame where it is largest, which sets the step e of the derivative of Z."""
 
 
 def correction_gain_m2(
@@ -117,7 +117,6 @@ def _segment_gain(
     states, size = estimate.states, solution.size
     (n, D), V, J = states.shape, len(clip.views), len(clip.body.markers)
     gains = np.empty((V, n, J))
-    parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
 
     def curvature(frames: slice) -> Array:
         """Return G (N, D, D), with dx' G dx the squared displacements of the joints, relative to their mean, for dx."""
@@ -125,42 +124,41 @@ def _segment_gain(
         flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
         return flat.swapaxes(1, 2) @ flat
 
-    def of_markers(frames: slice, of_states: Array) -> Array:
-        return _of_points(size * clip.body.detected.pose_with_jacobian(states[frames]).jacobian, of_states)
-
-    Z, Q = _covariance_and_derivative(problem, estimate, curvature, of_markers)
+    variance_m2 = np.trace(solution.relative_covariance_m2[rows], axis1=2, axis2=3).sum(axis=1)  # about tr(Z G)
+    step = _RELATIVE_STEP / max(float(variance_m2.max()) / clip.correlation_frames, 1e-12)
     world_m = clip.in_world(clip.body.detected.pose(states).points_m, size)
     views = [(view, view.shift_to_exposure(world_m)) for view in clip.views]
-    for part in parts:
+    for part, of_states in _covariances_and_derivatives(problem, estimate, step, curvature):
+        of_points = _of_points(size * clip.body.detected.pose_with_jacobian(states[part]).jacobian, of_states)
         for number, (view, points_m) in enumerate(views):
             noise_px, weight = solution.noise_px[number, rows][part], solution.weight[number, rows][part]
             gains[number, part] = _gain_of_frames(
-                view.part(part), points_m[part], (Z[part], Q[part]), (noise_px, weight), clip.correlation_frames
+                view.part(part), points_m[part], of_points, (noise_px, weight), clip.correlation_frames
             )
     return gains
 
 
 def _of_points(by_state: Array, of_states: Array) -> Array:
-    """Propagate the states' covariances (N, D, D) to points with derivatives (N, J, 3, D), and return (N, J, 3, 3)."""
+    """Return Z and Q of points (2, N, J, 3, 3), from those of states (2, N, D, D) and the derivatives (N, J, 3, D)."""
     N, J, _, D = by_state.shape
-    moved = (by_state.reshape(N, 3 * J, D) @ of_states).reshape(N, J, 3, D)
+    moved = (by_state.reshape(N, 3 * J, D) @ of_states).reshape(2, N, J, 3, D)
     return moved @ by_state.swapaxes(2, 3)
 
 
 def _gain_of_frames(
     view: View,
     points_m: Array,
-    covariance_and_derivative: tuple[Array, Array],
+    of_points: Array,
     noise_and_weight: tuple[Array, Array],
     correlation_frames: float,
 ) -> Array:
     """Return the gain (N, J) in m^2 of each detection in N frames of a view.
 
-    `points_m` (N, J, 3) are the markers, and `covariance_and_derivative` their blocks (N, J, 3, 3) of Z and of Q.
-    `noise_and_weight` are the standard deviations (N, J), px, and the weights (N, J) of the detections.
+    `points_m` (N, J, 3) are the markers, and `of_points` (2, N, J, 3, 3) their blocks of Z and of Q. `noise_and_weight`
+    are the standard deviations (N, J), px, and the weights (N, J) of the detections.
     """
     projected, by_point, valid = view.project_with_jacobian(points_m)
-    A_Z_A, A_Q_A = (by_point @ of_points @ by_point.swapaxes(-1, -2) for of_points in covariance_and_derivative)
+    A_Z_A, A_Q_A = by_point @ of_points @ by_point.swapaxes(-1, -2)
     eye = np.eye(2)
     noise_px, weight = noise_and_weight
     w = np.where(view.present, np.nan_to_num(weight) * view.confidence, 0.0)[..., None, None]
@@ -175,36 +173,24 @@ def _gain_of_frames(
     return np.where(valid, correlation_frames * fall + pull, np.nan)
 
 
-def _covariance_and_derivative(
-    problem: LeastSquares,
-    estimate: Estimate,
-    curvature: Callable[[slice], Array],
-    of_states: Callable[[slice, Array], Array],
-) -> tuple[Array, Array]:
-    """Apply the linear function `of_states` to every frame's blocks of Z and of Q, and return both results, (T, ...).
+def _covariances_and_derivatives(
+    problem: LeastSquares, estimate: Estimate, step: float, curvature: Callable[[slice], Array]
+) -> Iterator[tuple[slice, Array]]:
+    """Yield slices of N frames, and the states' blocks of Z and of Q in these frames, (2, N, D, D).
 
-    `of_states` returns an array (N, ...) from the blocks (N, D, D) of N frames, and `curvature` returns the blocks (N,
-    D, D) of G. Only the results are kept, because Z, Q and G of a long clip need much memory.
+    `step` is the step e of the derivative, and `curvature` returns the blocks (N, D, D) of G.
     """
-    normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
-    kept = [*normals()] if len(estimate.states) <= _FRAMES_KEPT else None
-    values, largest = list[Array](), 1e-12
-    for frames, Z in _covariances(kept or normals(), problem.ahead):
-        largest = max(largest, float(np.einsum("tab,tba->t", Z, curvature(frames)).max()))
-        values.append(of_states(frames, Z))
-    step = _RELATIVE_STEP / largest
-    stiffened = _covariances(_stiffened(kept or normals(), step, curvature), problem.ahead)
-    derivatives = [(value - of_states(frames, Z)) / step for value, (frames, Z) in zip(values, stiffened, strict=True)]
-    return np.concatenate(values), np.concatenate(derivatives)
-
-
-def _covariances(pieces: Iterable[Normal], ahead: int | None) -> Iterator[tuple[slice, Array]]:
-    """Yield slices of N frames and the covariances (N, D, D) of their states, with `ahead` as in `eliminated`."""
-    for window in eliminated(pieces, bounded=True, ahead=ahead):
-        covariance, start = window.marginal_blocks()[:, 0], window.rows.start
-        for first in range(0, len(covariance), _FRAMES_AT_ONCE):
-            part = covariance[first : first + _FRAMES_AT_ONCE]
-            yield slice(start + first, start + first + len(part)), part
+    pieces, same_pieces = tee(replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)())
+    windows = (
+        eliminated(pieces, bounded=True, ahead=problem.ahead),
+        eliminated(_stiffened(same_pieces, step, curvature), bounded=True, ahead=problem.ahead),
+    )
+    for window, stiffened in zip(*windows, strict=True):
+        Z, stiffened_Z = window.marginal_blocks()[:, 0], stiffened.marginal_blocks()[:, 0]
+        for first in range(0, len(Z), _FRAMES_AT_ONCE):
+            part = slice(first, min(first + _FRAMES_AT_ONCE, len(Z)))
+            frames = slice(window.rows.start + part.start, window.rows.start + part.stop)
+            yield frames, np.stack([Z[part], (Z[part] - stiffened_Z[part]) / step])
 
 
 def _stiffened(pieces: Iterable[Normal], step: float, curvature: Callable[[slice], Array]) -> Iterator[Normal]:
