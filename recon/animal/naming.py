@@ -253,12 +253,13 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
     if matching := skeleton_of(names):
         return Problem(source, "bodyparts", detail, f"the skeleton of these names: --skeleton {matching}")
     maps, (options, count) = fitting_maps(names, wanted), fitting_skeleton(names)
-    if count >= _MOST_OF_FILE * len(names) and f"--skeleton {skeleton} " not in f"{options} ":
+    count_here = load_names(maps[0]).common(names, {*wanted}) if maps else 0
+    if count >= _MOST_OF_FILE * len(names) and count > count_here and f"--skeleton {skeleton} " not in f"{options} ":
         hint = f"{options}, or"
     else:
-        fits = maps and 2 * load_names(maps[0]).common(names, {*wanted}) >= min(len(names), len(wanted))
+        fits = maps and 2 * count_here >= min(len(names), len(wanted))
         hint = f"--rename {maps[0]}, or" if fits else "another animal's --skeleton, or"
-        if maps and load_names(maps[0]).common(names, {*wanted}) == len(names):
+        if maps and count_here == len(names):
             return Problem(
                 source, "bodyparts", detail, f"the names of the skeleton {skeleton}: give --rename {maps[0]}"
             )
@@ -271,15 +272,17 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
     """Yield the lines of a new name map for a file's keypoint names, filled in where a wanted name is similar.
 
-    Names that the built-in map of veterinary terms contains are also filled in.
+    Names that the best built-in map, or the one of veterinary terms, contains are also filled in.
     """
     names, wanted = list(names), list(wanted)
     unused, missing = [n for n in names if n not in wanted], [w for w in wanted if w not in names]
-    near, anatomical = suggestions(unused, missing), load_names(ANATOMICAL)
-    for name in unused:
-        marker = anatomical.get(name)
-        if marker in missing and name not in near and marker not in near.values():
-            near[name] = marker
+    best = [load_names(name_map).get for name_map in fitting_maps(names, wanted)[:1]]
+    near: dict[str, str] = {}
+    for marker_of in (*best, suggestions(unused, missing).get, load_names(ANATOMICAL).get):
+        for name in unused:
+            marker = marker_of(name)
+            if marker in missing and name not in near and marker not in near.values():
+                near[name] = marker
     yield ",".join(HEADER)
     yield from (f"{name},{near.get(name, '')}" for name in names if name not in wanted)
 

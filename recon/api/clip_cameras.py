@@ -182,7 +182,10 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[CameraTrack]) -> tu
     existing = [file for file in unclear if file.exists()]
     actual = f"{len(cameras)} cameras, none of them chosen"
     actual += f" for {', '.join(file.name for file in existing)}" if len(chosen) > 1 else ""
-    problem = Problem(path, "camera", actual, f"one of {', '.join(names)} by --camera-name, or in the file's name")
+    by_option = "by --camera-name, or in the file's name"
+    if len(chosen) > 1:
+        by_option = "for each keypoint file: by --camera-name once for each, in their order, or in the files' names"
+    problem = Problem(path, "camera", actual, f"one of {', '.join(names)} {by_option}")
     missing = (partial(require_file, file) for file in unclear if file not in existing)
     collect_problems(*missing, lambda: raise_problems([problem] * bool(existing)))
     return tuple(camera for matches in chosen.values() for camera in cameras if camera.name in matches)

@@ -117,7 +117,9 @@ class FitSettings(Settings):
     any)
     """
     hfov_deg: Annotated[Number, Field(gt=0, lt=180)] | None = None
-    """Horizontal field of view in degrees, if there is no calibration, such as 64, or 64+-6 with its uncertainty."""
+    """Horizontal field of view in degrees, if there is no calibration, such as 64, or 64+-6 with its uncertainty. The
+    lens is assumed not to distort the picture.
+    """
     image_size_px: Annotated[
         Size | None, Option(expected="width x height in pixels, such as 1920x1080", name="--image-size")
     ] = None
@@ -250,6 +252,7 @@ class FitSettings(Settings):
             values = getattr(self, name)
             if values is not None and len(values) != count:
                 expected = f"{counted(count, 'value')}, one for each keypoint file"
+                expected += ", each after the option's name" if len(values) < count else ""
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
         for name in ("find_offsets", "refine_cameras"):
             if getattr(self, name) and count == 1:

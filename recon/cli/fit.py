@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -68,7 +69,7 @@ _ANY_CAMERA: dict[str, Any] = {"hfov_deg": 60.0, "image_size_px": (1, 1)}
 """A camera with which `FitSettings` are complete. The readers of keypoint files and of skeletons do not look at it."""
 
 
-def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: Container[str]) -> Iterable[Problem]:
+def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: AbstractSet[str]) -> Iterable[Problem]:
     """Return the problems with a fit's files, ignoring the settings named in `wrong`, whose values are invalid.
 
     If the other settings are complete, all inputs are checked. Otherwise, usually because the camera is missing, each
@@ -78,10 +79,12 @@ def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: C
     from recon.io.formats import read_keypoints
 
     usable = {name: value for name, value in options.items() if name not in wrong}
+    follows = ("camera",) if "camera_name" in wrong else ()  # without names, cameras would be reported as not chosen
     if "method" not in wrong:  # the method determines the skeletons
         with suppress(InputError):
             rest = _read(config, usable)
-            return [problem for problem in problems_of(lambda: prepare(rest)) if problem.field not in wrong]
+            problems_of_rest = problems_of(lambda: prepare(rest))
+            return [problem for problem in problems_of_rest if problem.field not in wrong | {*follows}]
     known = {name: value for name, value in usable.items() if name in _WITHOUT_CAMERA}
     checks: list[Callable[[], object]] = []
     for path in options.get("keypoints") or ():

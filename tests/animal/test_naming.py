@@ -235,6 +235,9 @@ def test_lines_of_a_map_to_write(tmp_path):
     assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
     assert [*map_to_write(["LF_carpi", "poll"], ["l_front_ankle", "nose"])][1:] == ["LF_carpi,l_front_ankle", "poll,"]
     assert load_names(in_file(tmp_path, "\n".join(lines))).names == {"left_eye": "l_eye", "chin": ""}
+    markers = load_skeleton("quadruped").markers
+    lines = [*map_to_write(["back_middle", "front_left_thai", "front_left_paw", "antler"], markers)]
+    assert lines[1:] == ["back_middle,spine", "front_left_thai,l_shoulder", "front_left_paw,l_front_paw", "antler,"]
 
 
 def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
@@ -383,6 +386,18 @@ def test_few_names_are_refused_with_the_map_to_write(tmp_path):
     written = in_file(tmp_path, "\n".join(problem.details))
     (source,) = prepare(settings(clip, rename=written)).sources
     assert {"l_eye", "r_front_paw", "l_back_knee"} <= {*source.file_names}
+
+
+@pytest.mark.parametrize(
+    ("skeleton", "remedy", "other"),
+    [("quadruped", "--rename superanimal-quadruped", "cheetah-24"), ("human-25", "--skeleton", "")],
+)
+def test_the_given_skeleton_is_kept_if_a_map_fits_it_as_well(skeleton, remedy, other):
+    names = [*load_names("superanimal-quadruped").names, "antler_base_left"]
+    names = [name for name in names if name not in ("left_earbase", "right_earbase", "back_base")]
+    problem = problem_of_names(names, load_skeleton(skeleton).markers, skeleton, "clip.csv")
+    assert says(problem.expected, remedy)
+    assert not other or other not in problem.expected
 
 
 def test_a_built_in_map_with_all_names_is_suggested_alone():

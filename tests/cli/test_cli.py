@@ -591,6 +591,23 @@ def test_all_missing_required_options_are_named():
     refused(["fit", two[0], "--skeleton", "zebra"], no_rate, zebra, ("--camera", "camera", "nothing"), NO_OUT)
 
 
+def test_each_keypoint_file_needs_a_camera_name(tmp_path):
+    for number, name in enumerate(("left.csv", "right.csv"), start=1):
+        (tmp_path / name).write_bytes((SAMPLES / f"whole_cam{number}.csv").read_bytes())
+    two, scene = (tmp_path / "left.csv", tmp_path / "right.csv"), SAMPLES / "whole_scene.json"
+    args = ("fit", *two, "--camera", scene, "--fps", 60, "--out", tmp_path / "out")
+    none = (
+        scene,
+        "camera",
+        "none of them chosen for left.csv, right.csv",
+        "--camera-name once for each, in their order",
+    )
+    refused(args, none)
+    for given in ("cam1", "cam1,cam2"):  # reported alone, and not as a camera that was not chosen
+        count = ("--camera-name", "camera_name", f"1: {given}", ["2 values", "each after the option's name"])
+        refused([*args, "--camera-name", given], count)
+
+
 @pytest.mark.usefixtures("no_playback", "frames_solved_once")
 def test_frame_rate_is_read_from_the_file_or_required(tmp_path):
     args = ["fit", CLIP, "--camera", tmp_path / "none.toml", "--out", tmp_path / "a"]
