@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from recon.api.settings import ANYWAY, STRIDE, StrideTimes
+from recon.api.options import ANYWAY, STRIDE, StrideTimes
 from recon.base.errors import Problem
 from recon.base.settings import OneOrMore, Option, Positive, Settings
 

@@ -22,7 +22,7 @@ from typing import Any, Literal
 from pydantic import create_model
 from threadpoolctl import threadpool_limits
 
-from recon.api.batch_inputs import SUMMARY, Clip
+from recon.api.batch_inputs import Clip
 from recon.api.clip_cameras import read_clip_cameras
 from recon.api.clip_inputs import SharedInputs, prepare, read_model
 from recon.api.clip_results import (
@@ -50,7 +50,7 @@ from recon.base.progress import Progress
 from recon.base.tables import guarded, unguarded
 from recon.fit.result import LEVELS
 from recon.io.common import text_rows
-from recon.show.page.own_page import SUMMARY_PAGE
+from recon.show.page.own_page import SUMMARY, SUMMARY_PAGE
 from recon.show.report import is_unsolved, warnings
 
 BATCH = "batch"

@@ -31,10 +31,9 @@ from recon.io.common import text_rows
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.io.formats import individuals, recognised, titles
 from recon.io.json_poses import clip_of_frame
-from recon.show.page.own_page import SUMMARY_PAGE
+from recon.show.page.own_page import SUMMARY, SUMMARY_PAGE
 
 T = TypeVar("T")
-SUMMARY = "summary.csv"
 AUTO, NONE = "auto", "none"
 OPTION = "--cameras-by"
 SEPARATORS = "-_. "

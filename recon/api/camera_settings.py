@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from recon.api.settings import FIRST_FRAME
+from recon.api.options import FIRST_FRAME
 from recon.base.errors import Problem
 from recon.base.settings import Integer, Number, OneOrMore, Option, Settings
 

@@ -36,6 +36,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
+from recon.show.page.own_page import PLAYBACK
 from recon.show.plain import write_report
 from recon.show.report import build_report
 from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, SHAPE, camera_files, reprojection_files, write_tables
@@ -52,9 +53,6 @@ SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and settings with which the clip was fitted: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
 """Camera file with the poses that a fit refined."""
-PLAYBACK = "motion.rrd"
-VIDEO_PLAYBACK = "playback.rrd"
-"""Recording with the video, which `recon run` writes and `recon view` then opens."""
 MAX_PLAYED_FRAMES = 2000
 """Maximum number of frames for which a fit writes the playback by default, a minute at the viewer's usual speed."""
 OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CONFIG, MANIFEST)

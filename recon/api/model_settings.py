@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-from recon.api.settings import ANYWAY, INDIVIDUAL, Unit
+from recon.api.options import ANYWAY, INDIVIDUAL
+from recon.api.settings import Unit
 from recon.base.errors import Problem
 from recon.base.numbers import counted
 from recon.base.settings import Count, File, NotNegative, OneOrMore, Option, Positive, Settings

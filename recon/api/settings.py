@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from recon.api.options import INDIVIDUAL, RENAME
 from recon.base.errors import Problem
 from recon.base.file_names import to_encodable
 from recon.base.numbers import counted
@@ -54,24 +55,6 @@ FrameRange = Annotated[str, AfterValidator(_frames)]
 """Range of frames A:B, which includes A and excludes B."""
 
 FPS = "Frame rate of the video in Hz, such as 120. (default: that of the file, if it states one)"
-INDIVIDUAL = "Name of the animal in a file of several animals, such as animal1."
-RENAME = Option(
-    "New names of keypoints: a CSV file of old and new names, or a built-in map, such as superanimal-quadruped."
-)
-
-
-StrideTimes = Annotated[
-    tuple[Number, Number], BeforeValidator(lambda value: value.split(":") if isinstance(value, str) else value)
-]
-"""(start, end) in seconds since frame 0, or text such as "0.31:0.62"."""
-FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if the video was cut.")
-ANYWAY = Option('Also use clips whose verdict is "do not use".')
-STRIDE = Option(
-    "A stride, in seconds since frame 0, such as 0.31:0.62; its start moves to the nearest frame. "
-    "(default: a stride of the clip)",
-    "START:END in seconds, such as 0.31:0.62",
-    metavar="START:END",
-)
 
 
 class FitSettings(Settings):

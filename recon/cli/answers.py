@@ -294,8 +294,8 @@ def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, *
 
     `page` is the page of the result, if there is one, and `fields` are added to the JSON.
     """
-    from recon.api.clip_results import PLAYBACK, VIDEO_PLAYBACK
     from recon.show.console import console_summary
+    from recon.show.page.own_page import PLAYBACK, VIDEO_PLAYBACK
     from recon.show.report import is_unsolved
 
     report_fields = {name: report[name] for name in ("method", "summary", "findings")}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from recon.api.settings import INDIVIDUAL
+from recon.api.options import INDIVIDUAL
 from recon.base.files import write_text
 from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults

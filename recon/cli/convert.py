@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
-from recon.api.settings import ANYWAY, INDIVIDUAL, RENAME
+from recon.api.options import ANYWAY, INDIVIDUAL, RENAME
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.outputs import ReadResults, output_file
 from recon.base.settings import Option, Positive, Settings, input_paths

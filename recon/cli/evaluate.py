@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.api.settings import ANYWAY
+from recon.api.options import ANYWAY
 from recon.base.numbers import percent, quantity
 from recon.base.settings import Option, Settings
 from recon.cli.answers import Answer, table_of, verdict_texts

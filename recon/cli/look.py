@@ -16,10 +16,6 @@ from rich.console import Console
 
 from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.analysis_settings import ANALYSIS_FOLDER
-from recon.api.batch import read_rows, write_summary_page
-from recon.api.batch_inputs import SUMMARY
-from recon.api.clip_cameras import cameras_in
-from recon.api.clip_results import PLAYBACK, VIDEO_PLAYBACK
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest, staged_file
@@ -37,7 +33,7 @@ from recon.fit.motion_forms import MOTION
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
-from recon.show.page.own_page import PAGE, SUMMARY_PAGE
+from recon.show.page.own_page import PAGE, PLAYBACK, SUMMARY, SUMMARY_PAGE, VIDEO_PLAYBACK
 from recon.show.page.pages import Neighbours, clip_page, jpeg
 from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
 from recon.show.report import REPORT
@@ -103,6 +99,8 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
     """
     names = [camera_of_clip.name for camera_of_clip in motion.cameras]
     if camera is None and video is not None and len(names) > 1:
+        from recon.api.clip_cameras import cameras_in  # slow to import
+
         named = [*cameras_in(video.stem, names)]
         camera = named[0] if len(named) == 1 else None
     if camera in names:
@@ -346,6 +344,8 @@ def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: 
 
 def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:
     """Make the page of every result in a batch's folder, in parallel, and the summary page."""
+    from recon.api.batch import read_rows, write_summary_page  # slow to import
+
     if video is not None:
         raise InputError(Problem("--video", "file", f"{video} for many clips", "the folder of one clip's results"))
     failed: dict[str, str] = {}

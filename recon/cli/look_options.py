@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from recon.api.settings import ANYWAY, FIRST_FRAME
+from recon.api.options import ANYWAY, FIRST_FRAME
 from recon.base.errors import Problem
 from recon.base.settings import Integer, Number, Option, Settings
 

@@ -19,12 +19,11 @@ from rich.console import Console
 from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.analysis_settings import AnalyseSettings
 from recon.api.batch import ClipPlan, OnEvent, Summary, results_of, run_plan, summary_output
-from recon.api.batch_inputs import SUMMARY, Clip, file_names
+from recon.api.batch_inputs import Clip, file_names
 from recon.api.camera_motion import motion_files, settings_for_clip
 from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.clip_results import (
     FIT,
-    VIDEO_PLAYBACK,
     Record,
     digests,
     fit_into,
@@ -55,7 +54,7 @@ from recon.fit.motion import Motion
 from recon.gait.spline import MIN_POINTS
 from recon.io.formats import recognised
 from recon.io.video import SUFFIXES, probe, size_problems
-from recon.show.page.own_page import PAGE, SUMMARY_PAGE
+from recon.show.page.own_page import PAGE, SUMMARY, SUMMARY_PAGE, VIDEO_PLAYBACK
 from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
 from recon.show.tables import TABLES

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from recon.api.settings import FIRST_FRAME
+from recon.api.options import FIRST_FRAME
 from recon.base.errors import Problem
 from recon.base.settings import Count, Integer, NameOrFile, Option, Settings
 from recon.cli.look_options import ResultSettings

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from recon.api.settings import ANYWAY, STRIDE, StrideTimes
+from recon.api.options import ANYWAY, STRIDE, StrideTimes
 from recon.base.errors import Problem
 from recon.base.settings import Integer, Number, Option, Settings
 

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from recon.api.settings import RENAME, FrameRange
+from recon.api.options import RENAME
+from recon.api.settings import FrameRange
 from recon.base.settings import Count, Integer, Number, Option, Positive, Settings
 
 DEVICE = Option("Device on which the network runs: auto, cpu, cuda or mps.")

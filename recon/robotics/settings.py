@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from recon.api.settings import ANYWAY, STRIDE, StrideTimes
+from recon.api.options import ANYWAY, STRIDE, StrideTimes
 from recon.base.settings import Integer, Number, Option, Positive, Settings
 
 MAX_SAMPLES = 10_000
