@@ -278,7 +278,7 @@ def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
     unused, missing = [n for n in names if n not in wanted], [w for w in wanted if w not in names]
     best = [load_names(name_map).get for name_map in fitting_maps(names, wanted)[:1]]
     near: dict[str, str] = {}
-    for marker_of in (*best, suggestions(unused, missing).get, load_names(ANATOMICAL).get):
+    for marker_of in (suggestions(unused, missing).get, *best, load_names(ANATOMICAL).get):
         for name in unused:
             marker = marker_of(name)
             if marker in missing and name not in near and marker not in near.values():

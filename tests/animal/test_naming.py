@@ -235,6 +235,9 @@ def test_lines_of_a_map_to_write(tmp_path):
     assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
     assert [*map_to_write(["LF_carpi", "poll"], ["l_front_ankle", "nose"])][1:] == ["LF_carpi,l_front_ankle", "poll,"]
     assert load_names(in_file(tmp_path, "\n".join(lines))).names == {"left_eye": "l_eye", "chin": ""}
+    # A map that knows only some of the names completes those that are similar to markers.
+    lines = [*map_to_write(["Nose", "Tail_1", "Tail_tip"], load_skeleton("mouse-top").markers)]
+    assert lines[1:] == ["Nose,nose", "Tail_1,tail1", "Tail_tip,tail_end"]
     markers = load_skeleton("quadruped").markers
     lines = [*map_to_write(["back_middle", "front_left_thai", "front_left_paw", "antler"], markers)]
     assert lines[1:] == ["back_middle,spine", "front_left_thai,l_shoulder", "front_left_paw,l_front_paw", "antler,"]
