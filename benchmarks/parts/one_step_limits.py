@@ -4,9 +4,9 @@
 
 Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted unchanged, with x scaled,
 with the hind half of a second animal, and with another focal length. Every n-th pair is fitted unchanged, and with a
-second camera that takes one picture per second fewer than its file says. The deviations come from
-`recon.check.stretch.deviation`, `recon.check.halves.offset_of`, `recon.check.focal.FocalTest.deviation`, and the
-largest of `recon.check.clocks.drifts_of`; halves and drift are in standard deviations.
+second camera that takes one picture per second fewer than its file says. The deviations of stretch and halves come from
+`recon.check.one_step.one_steps`, and the others from `recon.check.focal.FocalTest.deviation` and the largest of
+`recon.check.clocks.drifts_of`; halves and drift are in standard deviations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from recon.check import focal as focal_check
 from recon.check import halves, inputs
 from recon.check.clocks import DRIFT_SIGMAS, drifts_of
 from recon.check.likelihood import Baseline
-from recon.check.stretch import LIMITS, deviation, stretch_of
+from recon.check.one_step import Step
+from recon.check.stretch import LIMITS, deviation
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import TrajectorySolution
 
@@ -74,12 +75,10 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
     """Fit a clip, and return the deviation that a check measures, or an empty list if the check does not run."""
     seen: list[float] = []
 
-    def stretch(problem: ClipProblem, solution: TrajectorySolution) -> None:
-        step = stretch_of(problem, solution)
+    def stretch(_problem: ClipProblem, _solution: TrajectorySolution, step: Step | None) -> None:
         seen.extend([] if step is None else [deviation(step)])
 
-    def late_half(problem: ClipProblem, solution: TrajectorySolution) -> None:
-        step = halves.offset_of(problem, solution)
+    def late_half(_problem: ClipProblem, _solution: TrajectorySolution, step: Step | None) -> None:
         seen.extend([step.value / step.sigma] if check == "halves" and step is not None else [])
 
     def focal_length(baseline: Baseline, noise_px: Array) -> None:

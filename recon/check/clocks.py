@@ -9,7 +9,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.check.codes import EFFECTS, finding
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
-from recon.check.one_step import Detections, Step, one_steps
+from recon.check.one_step import Detections, Step, Unknown, one_steps
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import frames_per_piece
 from recon.fit.result import Finding, TrajectorySolution
@@ -50,7 +50,8 @@ def drifts_of(clip: ClipProblem, solution: TrajectorySolution, every: int = 1) -
         return detections.by_frame_px * ((detections.frames - 0.5 * (frames - 1)) / frames)[:, None, None]
 
     first = 1 if len(clip.views) == 2 else 0  # for two cameras, only the difference of their clocks is known
-    steps = one_steps(clip, solution, dict.fromkeys(range(first, len(clip.views)), by_drift), every=every)
+    clocks = {camera: Unknown(camera, by_drift) for camera in range(first, len(clip.views))}
+    steps = one_steps(clip, solution, clocks, every)
     return {camera: Step(every * step.value, every * step.sigma) for camera, step in steps.items()}
 
 

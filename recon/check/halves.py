@@ -10,7 +10,7 @@ import numpy as np
 
 from recon.base.arrays import Array, Bools
 from recon.check.codes import finding
-from recon.check.one_step import Detections, Step, one_steps
+from recon.check.one_step import Detections, Step, Unknown
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 
@@ -36,11 +36,9 @@ def hind_markers(clip: ClipProblem) -> Bools:
     return np.asarray((points_m - 0.5 * (points_m[front] + points_m[rear])) @ ahead < 0)
 
 
-def offset_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
-    """Return the time offset of the animal's hind half in a clip of one camera, in frames, or None if it is unknown."""
-    segment, is_hind = solution.longest_segment, hind_markers(clip)
-    if segment is None or segment.rows.stop - segment.rows.start < MIN_FRAMES or is_hind.all():
-        return None
+def hind_offset(clip: ClipProblem) -> Unknown:
+    """Return the time offset of the animal's hind half in a clip of one camera, in frames, for `one_steps`."""
+    is_hind = hind_markers(clip)
 
     def by_offset(detections: Detections) -> Array:
         projected_px = detections.projected_px
@@ -48,13 +46,15 @@ def offset_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
             return np.zeros_like(projected_px)
         return np.gradient(projected_px, axis=0) * is_hind[None, :, None]
 
-    return one_steps(clip, solution, {0: by_offset}).get(0)
+    return Unknown(0, by_offset)
 
 
-def halves_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding | None:
-    """Return a finding if the hind half is early or late relative to the fore half, otherwise None."""
-    offset = offset_of(clip, solution)
-    if offset is None or LIMITS[0] * offset.sigma < offset.value < LIMITS[1] * offset.sigma:
+def halves_finding(clip: ClipProblem, solution: TrajectorySolution, offset: Step | None) -> Finding | None:
+    """Return a finding if the hind half is early or late relative to the fore half, otherwise None.
+
+    `offset` is the estimate of `hind_offset`, if there is one.
+    """
+    if offset is None or hind_markers(clip).all() or LIMITS[0] < offset.value / offset.sigma < LIMITS[1]:
         return None
     halves = foreign_half(clip, solution)
     return finding("halves_apart", late_frames=-offset.value, sigmas=abs(offset.value) / offset.sigma, foreign=halves)

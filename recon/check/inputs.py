@@ -21,7 +21,7 @@ from recon.base.threads import one_thread
 from recon.check.clocks import drift_findings
 from recon.check.codes import FLAG_OF, SPEEDS, by_effect, finding
 from recon.check.focal import focal_finding
-from recon.check.halves import halves_finding
+from recon.check.halves import halves_finding, hind_offset
 from recon.check.likelihood import (
     EXAMINED_GAIN,
     Baseline,
@@ -35,8 +35,9 @@ from recon.check.likelihood import (
     unit_square_finding,
     with_calibration_at_either_end,
 )
+from recon.check.one_step import Step, one_steps
 from recon.check.other_camera import other_camera_finding
-from recon.check.stretch import stretch_finding
+from recon.check.stretch import STRETCH, stretch_finding
 from recon.check.swaps import swap_finding, swaps
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -208,13 +209,14 @@ def _explain_by_only_view(
     assert isinstance(solution, TrajectorySolution)
     if any(item.code != "path_jolts" for item in moves):
         return [*moves]
-    halves = halves_finding(clip, solution)
+    steps = one_steps(clip, solution, {"halves": hind_offset(clip), "stretch": STRETCH})
+    halves = halves_finding(clip, solution, steps.get("halves"))
     if halves is not None:
         return [halves]
-    return [*moves] or _single_view_findings(motion, clip, baseline)
+    return [*moves] or _single_view_findings(motion, clip, baseline, steps.get("stretch"))
 
 
-def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
+def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline, stretch: Step | None) -> list[Finding]:
     """Return findings on a single camera: a wrong lens or focal length in its file, or a stretched video."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
@@ -223,7 +225,7 @@ def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline)
     findings = [
         with_calibration_at_either_end(by_effect(item, motion.trunk_m, position_sigma_m=sigma_m)) for item in lens
     ]
-    if all(item.severity == "note" for item in findings) and (stretched := stretch_finding(clip, solution)):
+    if all(item.severity == "note" for item in findings) and (stretched := stretch_finding(clip, solution, stretch)):
         findings.append(stretched)
     if all(item.severity == "note" for item in findings) and (focal := focal_finding(baseline, solution.noise_px[0])):
         findings.append(by_effect(focal, motion.trunk_m, position_sigma_m=sigma_m))

@@ -8,8 +8,9 @@ its standard deviation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIZE, PointRows, Reprojection, ReprojectionErrors, Scene, Span, offset_values
 
 _EXTRA = "one more unknown"
+_Key = TypeVar("_Key")
 _FREE = 10.0
 """Prior standard deviation of the added unknown, so large that the unknown is practically free."""
 
@@ -44,6 +46,17 @@ ByUnknown = Callable[[Detections], Array]
 
 
 @dataclass(frozen=True)
+class Unknown:
+    """Additional unknown, on which the detections of one camera depend."""
+
+    camera: int
+    """Index of the camera."""
+    by_unknown: ByUnknown
+    fixed: tuple[str, ...] = ()
+    """Names of the fit's shared unknowns that are not free in the step."""
+
+
+@dataclass(frozen=True)
 class Step:
     """Estimate of an additional unknown, with its standard deviation."""
 
@@ -53,13 +66,12 @@ class Step:
 
 @dataclass(frozen=True)
 class _ExtendedReprojection(Reprojection):
-    by_unknown: ByUnknown | None = None
+    by_unknown: Mapping[str, ByUnknown] = field(default_factory=dict)
+    """Derivatives with respect to each additional unknown, keyed by its name."""
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
         """Return the least-squares rows of `Reprojection`, with derivatives with respect to the additional unknowns."""
         rows = super()._rows_of(span, scene, errors)
-        if self.by_unknown is None:
-            return rows
         weight = self.weights_of(scene, errors)
         drift_m = np.zeros_like(scene.points_m) if self.drift_m is None else self.drift_m[scene.frames]
         detections = Detections(
@@ -68,22 +80,19 @@ class _ExtendedReprojection(Reprojection):
             errors.unbiased_px,
             (errors.by_point * scene.size @ drift_m[..., None])[..., 0],
         )
-        by_unknown = np.where(errors.seen[..., None], self.by_unknown(detections), 0.0) * weight[..., None]
-        return replace(
-            rows, by_shared=rows.by_shared | {_name(self.number): by_unknown.reshape(len(errors.seen), -1, 1)}
-        )
+        by_shared = dict(rows.by_shared)
+        for name, by_unknown in self.by_unknown.items():
+            of_seen = np.where(errors.seen[..., None], by_unknown(detections), 0.0) * weight[..., None]
+            by_shared[name] = of_seen.reshape(len(errors.seen), -1, 1)
+        return replace(rows, by_shared=by_shared)
 
 
 def one_steps(
-    clip: ClipProblem,
-    solution: TrajectorySolution,
-    unknowns: Mapping[int, ByUnknown],
-    fixed: Sequence[str] = (),
-    every: int = 1,
-) -> dict[int, Step]:
-    """Return the estimate of one additional unknown for each camera in `unknowns`, from a clip's longest segment.
+    clip: ClipProblem, solution: TrajectorySolution, unknowns: Mapping[_Key, Unknown], every: int = 1
+) -> dict[_Key, Step]:
+    """Return the estimate of each additional unknown, from a clip's longest segment.
 
-    In each estimate, the additional unknowns of the other cameras are 0.
+    In each estimate, the other additional unknowns are 0.
 
     Parameters
     ----------
@@ -92,17 +101,15 @@ def one_steps(
     solution
         Solution of the problem, from which the step starts.
     unknowns
-        Derivatives with respect to each unknown, with the index of the camera whose detections depend on it as the key.
-    fixed
-        Names of the fit's shared unknowns that are not free in the step.
+        The additional unknowns.
     every
         Use only every n-th frame, which makes the estimate less exact. The functions in `unknowns` then get a clip with
         a frame rate that is lower by this factor.
 
     Returns
     -------
-    dict[int, Step]
-        The estimate for each camera index; empty if no segment has a pose in every frame.
+    dict
+        The estimates, with the keys of `unknowns`; empty if no segment has a pose in every frame.
     """
     segment = solution.longest_segment
     if segment is None:
@@ -114,32 +121,30 @@ def one_steps(
     points_m = clip.markers(states)
     contact_terms = contacts(clip, points_m, solution.size)[-1] if clip.finds_ground else ()
     problem = clip.problem(solution.noise_px[:, rows], 1.0, contact_terms, points_m, solution.size)
-    terms = [
-        _extended(term, unknowns) if isinstance(term, Reprojection) and term.number in unknowns else term
-        for term in problem.terms
-    ]
-    extra = [SharedUnknown(_name(camera), np.zeros(1), np.full(1, _FREE)) for camera in unknowns]
-    free, nuisance = ([u for u in group if u.name not in fixed] for group in (problem.shared, problem.nuisance))
-    problem = replace(problem, terms=terms, shared=[*free, *extra], nuisance=nuisance)
+    names = {key: f"{_EXTRA} {i}" for i, key in enumerate(unknowns)}
+    terms = []
+    for term in problem.terms:
+        camera = term.number if isinstance(term, Reprojection) else None
+        by_unknown = {names[key]: unknown.by_unknown for key, unknown in unknowns.items() if unknown.camera == camera}
+        terms.append(_extended(term, by_unknown) if isinstance(term, Reprojection) and by_unknown else term)
+    extra = [SharedUnknown(name, np.zeros(1), np.full(1, _FREE)) for name in names.values()]
+    problem = replace(problem, terms=terms, shared=[*problem.shared, *extra, *problem.nuisance], nuisance=())
     values = problem.expected() | offset_values(solution.time_offset_frames / every)
     if SIZE in values:
         values[SIZE] = np.array([solution.size])
     at_solution = curvature(problem, Estimate(states, 0.0, 0, True, values), correlation_frames)
-    columns = np.array([problem.columns[_name(camera)].start for camera in unknowns])
-    steps = {}
-    for camera, column in zip(unknowns, columns, strict=True):
-        kept = np.setdiff1d(np.arange(len(at_solution.shared_gradient)), columns[columns != column])
+    steps, P = {}, len(at_solution.shared_gradient)
+    for key, unknown in unknowns.items():
+        left_out = {*names.values(), *unknown.fixed} - {names[key]}
+        free = [np.arange(*at.indices(P)) for name, at in problem.columns.items() if name not in left_out]
+        kept, column = np.concatenate(free), problem.columns[names[key]].start
         covariance = np.linalg.inv(at_solution.shared_precision[np.ix_(kept, kept)])
         row = covariance[np.searchsorted(kept, column)]
         variance = float(row[np.searchsorted(kept, column)]) * correlation_frames
-        steps[camera] = Step(-float(row @ at_solution.shared_gradient[kept]), math.sqrt(variance))
+        steps[key] = Step(-float(row @ at_solution.shared_gradient[kept]), math.sqrt(variance))
     return steps
 
 
-def _extended(term: Reprojection, unknowns: Mapping[int, ByUnknown]) -> Reprojection:
-    values = {field.name: getattr(term, field.name) for field in fields(term)}
-    return _ExtendedReprojection(**values, by_unknown=unknowns[term.number])
-
-
-def _name(camera: int) -> str:
-    return f"{_EXTRA} {camera}"
+def _extended(term: Reprojection, by_unknown: Mapping[str, ByUnknown]) -> Reprojection:
+    values = {of_term.name: getattr(term, of_term.name) for of_term in fields(term)}
+    return _ExtendedReprojection(**values, by_unknown=by_unknown)

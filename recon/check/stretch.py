@@ -12,7 +12,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.check.codes import finding
-from recon.check.one_step import Detections, Step, one_steps
+from recon.check.one_step import Detections, Step, Unknown
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import focal_scale
@@ -33,22 +33,19 @@ MIN_FOOT_FRACTION = 0.25
 """Minimum fraction of the frames in which each foot is detected, because the height is unknown without legs."""
 
 
-def stretch_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
-    """Return the estimated logarithm of the factor by which a video is stretched along x; None if unknown."""
-    return one_steps(clip, solution, {0: _by_stretch}, fixed=(focal_scale(0),)).get(0)
-
-
 def deviation(stretch: Step) -> float:
     """Return the deviation of an estimate from the mean in videos that are not stretched, in standard deviations."""
     return (stretch.value - MEAN_LOG_STRETCH) / math.hypot(LOG_STRETCH_SIGMA, SIGMA_FACTOR * stretch.sigma)
 
 
-def stretch_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding | None:
-    """Return a finding if the video is stretched along x or y, otherwise None."""
+def stretch_finding(clip: ClipProblem, solution: TrajectorySolution, stretch: Step | None) -> Finding | None:
+    """Return a finding if the video is stretched along x or y, otherwise None.
+
+    `stretch` is the estimate of `STRETCH`, if there is one.
+    """
     segment = solution.longest_segment
     if segment is None or (clip.views[0].present[segment.rows][:, clip.feet].mean(axis=0) < MIN_FOOT_FRACTION).any():
         return None
-    stretch = stretch_of(clip, solution)
     if stretch is None or LIMITS[0] < deviation(stretch) < LIMITS[1]:
         return None
     return finding(
@@ -58,3 +55,7 @@ def stretch_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding 
 
 def _by_stretch(detections: Detections) -> Array:
     return (detections.projected_px - detections.centre_px) * np.array([1.0, 0.0])
+
+
+STRETCH = Unknown(0, _by_stretch, fixed=(focal_scale(0),))
+"""Logarithm of the factor by which a video of one camera is stretched along x, for `one_steps`."""

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from recon.check.halves import foreign_half, halves_finding, hind_markers
+from recon.check.halves import foreign_half, halves_finding, hind_markers, hind_offset
+from recon.check.one_step import one_steps
 from recon.fit.clip_problem import ClipProblem
 
 
@@ -27,7 +28,9 @@ def test_the_hind_half_of_a_later_animal_is_reported(sample_fit, late, is_named)
     assert {"tail_base", "l_hip", "l_back_paw"} < {*names[is_hind]}
     assert not {"nose", "l_shoulder", "l_front_paw"} & {*names[is_hind]}
     with threadpool_limits(1, user_api="blas"):
-        item = halves_finding(later(clip, is_hind, late), solution)
+        late_clip = later(clip, is_hind, late)
+        offset = one_steps(late_clip, solution, {"halves": hind_offset(late_clip)}).get("halves")
+        item = halves_finding(late_clip, solution, offset)
     assert (item is not None) == is_named
     if item is not None:
         assert (item.code, item.severity) == ("halves_apart", "warning")

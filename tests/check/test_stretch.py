@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 from threadpoolctl import threadpool_limits
 
-from recon.check.stretch import stretch_finding
+from recon.check.one_step import one_steps
+from recon.check.stretch import STRETCH, stretch_finding
 from recon.fit.clip_problem import ClipProblem
 
 
@@ -22,7 +23,9 @@ def stretched(clip: ClipProblem, factor: float) -> ClipProblem:
 def test_a_stretched_picture_is_reported_with_its_factor(sample_fit, factor, is_named):
     clip, solution = sample_fit
     with threadpool_limits(1, user_api="blas"):
-        item = stretch_finding(stretched(clip, factor), solution)
+        stretched_clip = stretched(clip, factor)
+        stretch = one_steps(stretched_clip, solution, {"stretch": STRETCH}).get("stretch")
+        item = stretch_finding(stretched_clip, solution, stretch)
     assert (item is not None) == is_named
     if item is not None:
         assert (item.code, item.severity) == ("picture_stretched", "warning")
