@@ -75,10 +75,8 @@ from recon.fit.body_shape import Shape
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.pair_poses import WeighedPair, pair_poses, with_uncertain_poses
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, PRIOR_TERMS, SIZE, Reprojection, size_of
-from recon.geometry.kinematics import ROOT, YAW
+from recon.geometry.kinematics import YAW
 
-_FIXED = 1e8
-"""Precision, in the unknown's own unit, that is large enough to fix the unknown."""
 _NEARLY_FREE = 1e-3
 """Precision of an almost unknown position, 1/m^2, and heading, 1/rad^2."""
 _FRAMES_AT_ONCE = 256
@@ -525,12 +523,12 @@ def _without_pixels(
     terms = [term for term in problem.terms if term.name != "reprojection"]
     prior = replace(problem, terms=terms, shared=(), nuisance=())
     without_pixels, same_pieces = tee(prior.normals(states)())
-    is_position = np.isin(np.arange(D), [*range(D)[ROOT], YAW])
-    fixed, nearly_free = (np.where(is_position, precision, 0.0) for precision in (_FIXED, _NEARLY_FREE))
-    ahead = problem.piece // 2  # frames at fixed positions hardly inform each other
+    nearly_free = np.zeros(D)
+    nearly_free[: ANGLES.start] = _NEARLY_FREE
+    ahead = problem.piece // 4  # frames at fixed positions hardly inform each other
     windows = zip(
-        eliminated(with_pixels, fixed, bounded=True, ahead=ahead),
-        eliminated(without_pixels, fixed, bounded=True, ahead=ahead),
+        eliminated(map(_at_fixed_position, with_pixels), bounded=True, ahead=ahead),
+        eliminated(map(_at_fixed_position, without_pixels), bounded=True, ahead=ahead),
         eliminated(same_pieces, nearly_free, bounded=True),
         strict=True,
     )
@@ -540,6 +538,16 @@ def _without_pixels(
         variances[:, rows] = _relative_variances(body, states[rows], covariances)
         angle_variance[rows] = np.diagonal(free.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
     return _data_share(*variances), angle_variance
+
+
+def _at_fixed_position(piece: Normal) -> Normal:
+    """Return the normal equations of the angles, with position and heading fixed in all frames."""
+    return replace(
+        piece,
+        blocks=piece.blocks[..., ANGLES, ANGLES],
+        gradient=piece.gradient[:, ANGLES],
+        border=piece.border[:, ANGLES],
+    )
 
 
 def _shared_sigma(
@@ -617,18 +625,18 @@ def _joint_covariances(
     return absolute, relative, by_size
 
 
-def _relative_variances(body: Body, states: Array, state_covariances: Sequence[Array]) -> Array:
+def _relative_variances(body: Body, states: Array, angle_covariances: Sequence[Array]) -> Array:
     """Return the traces (C, T, J) in m^2 of the joints' covariances relative to the mean of the joints.
 
-    `state_covariances` are C covariances (T, D, D) of the states.
+    `angle_covariances` are C covariances (T, A, A) of the A angles, at a given position and heading.
     """
-    variances = np.empty((len(state_covariances), len(states), len(body.markers)))
+    variances = np.empty((len(angle_covariances), len(states), len(body.markers)))
     for first in range(0, len(states), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
-        by_states = body.tree.pose_with_jacobian(states[rows]).jacobian
-        by_states = by_states - by_states.mean(axis=1, keepdims=True)
-        for variance, covariance in zip(variances, state_covariances, strict=True):
-            variance[rows] = np.einsum("tjad,tjad->tj", _times(by_states, covariance[rows]), by_states)
+        by_angles = body.tree.pose_with_jacobian(states[rows]).jacobian[..., ANGLES]
+        by_angles = by_angles - by_angles.mean(axis=1, keepdims=True)
+        for variance, covariance in zip(variances, angle_covariances, strict=True):
+            variance[rows] = np.einsum("tjad,tjad->tj", _times(by_angles, covariance[rows]), by_angles)
     return variances
 
 
