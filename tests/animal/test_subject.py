@@ -173,7 +173,7 @@ def test_problems_with_clips_and_options_are_listed(runs, tmp_path):
     other, detector = tmp_path / "other.csv", {"lengths": False, "offsets": True}
     write_csv(Pose3D(("nose",), np.zeros((40, 1, 3)), np.arange(40)), other)
     for paths, options, expected in (
-        ([one], {}, (one, "cameras", ["one camera", "cam1"], "several cameras")),
+        ([one], {}, (one, "cameras", ["one static camera", "cam1"], "several cameras")),
         ([config], {"out": tmp_path / "x.txt"}, ("--out", "file", tmp_path / "x.txt", "ends in .toml")),
         ([config], {"out": config}, (config, "file", "an input of this run", "another --out")),
         ([config], {"lengths": False}, ("--no-lengths", "unknowns", "nothing", "--offsets")),
