@@ -13,33 +13,29 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
-from itertools import pairwise
 
 import numpy as np
 
-from recon.base.arrays import Array, Index, Integers
+from recon.base.arrays import Array, Index
 from recon.fit.banded import Normal, add_normal, step
 from recon.fit.body_shape import FreeShape
+from recon.fit.marker_sums import ByShape, Sums, add_markers, add_to_columns
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
+    FOOT_TERMS,
     LENGTHS,
     MARKER_TERMS,
     Linear,
-    PointRows,
     PoseMixture,
     Reprojection,
     Span,
     Term,
     TermRows,
-    keypoint_bias,
     size_of,
     with_step,
 )
 from recon.geometry.kinematics import Tree, TreePose
 
-_ByShape = tuple[Array, Array]
-"""Derivatives of the markers with respect to the lengths, (n, J, 3, L), and to each marker's own offset, (n, J, 3, 3).
-"""
 BANDS = 2
 """Maximum distance, in frames, between two frames that a term couples."""
 _FRAMES_AT_ONCE = 128
@@ -231,7 +227,7 @@ class LeastSquares:
                 border[0] += overlap[2]
             for term, residual in linear:
                 _add_linear_gradient(gradient, term, residual, term.frames(T), start, stop)
-            sums = _Sums(blocks, gradient, border, corner, shared_gradient)
+            sums = Sums(blocks, gradient, border, corner, shared_gradient)
             while span is not None and span.first < stop:
                 cost += self._add_span(sums, span, start)
                 span = next(spans, None)
@@ -239,14 +235,22 @@ class LeastSquares:
             yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient, cost)
             start, cost = stop, 0.0
 
-    def _add_span(self, sums: _Sums, span: Span, start: int) -> float:
+    def _add_span(self, sums: Sums, span: Span, start: int) -> float:
         """Add the normal equations of a span's non-linear terms to `sums`, and return the terms' cost.
 
         `start` is the first frame of `sums`.
         """
         by_shape, first = self._by_shape(span), span.first - start
-        merged = self._cameras_in_step(span)
-        cost = _add_detections(sums, self.columns, merged, span, start, by_shape) if merged else 0.0
+        cameras, cost = self._cameras_in_step(span), 0.0
+        # If the common keypoint bias is an unknown of its own, only the detections depend on it.
+        feet = [term for term in self.terms if isinstance(term, FOOT_TERMS) and cameras and span.rotations is None]
+        merged: list[Term] = [*cameras, *feet]
+        if cameras:
+            every_camera, every_foot = (
+                [term.point_rows(span) for term in cameras],
+                [term.foot_rows(span) for term in feet],
+            )
+            cost += add_markers(sums, self.columns, every_camera, every_foot, span, start, by_shape)
         by_stencil: dict[tuple[int, ...], list[TermRows]] = {}
         for term in self.terms:
             if any(term is camera for camera in merged):
@@ -366,11 +370,11 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras that took pictures at the frame times, for `_add_detections`; empty for fewer than two."""
+        """Return the cameras that took pictures at the frame times, for `add_markers`; empty for fewer than two."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 
-    def _by_shape(self, span: Span) -> _ByShape | None:
+    def _by_shape(self, span: Span) -> ByShape | None:
         """Return the derivatives of a span's markers with respect to the shape; None if the shape is not an unknown."""
         if self.shape is None or LENGTHS not in self.columns:
             return None
@@ -418,17 +422,6 @@ def _best_length(decrease: float, slope: float) -> float:
     return min(-0.5 * slope / bend, _MAX_EXTENSION) if bend > 0 else _MAX_EXTENSION
 
 
-@dataclass(frozen=True)
-class _Sums:
-    """Normal equations of a piece, as in `Normal`, to which the terms add their contributions in place."""
-
-    blocks: Array
-    gradient: Array
-    border: Array
-    corner: Array
-    shared_gradient: Array
-
-
 def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, frames: Index, start: int, stop: int) -> None:
     """Add a linear term's gradient for the frames from start up to stop in place, from its residual at `frames`."""
     for offset, slot in zip(term.stencil, term.slots, strict=True):
@@ -438,176 +431,7 @@ def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, frames:
             gradient[row : row + last - first] += residual[first:last] @ slot
 
 
-def _add_detections(
-    sums: _Sums,
-    columns: Mapping[str, slice],
-    cameras: Sequence[Reprojection],
-    span: Span,
-    start: int,
-    by_shape: _ByShape | None,
-) -> float:
-    """Add the normal equations of several cameras' detections in place, and return the cost of the detections.
-
-    The result is the same as from `add_normal` and `_add_shared` with each camera's residuals. The residuals of a
-    camera depend on a marker only through its position p, with the derivatives B (2, 3). The position has the
-    derivatives A with respect to the state, L with respect to the lengths, and R with respect to the marker's own
-    keypoint bias. If W is the sum of B'B over the cameras, the curvature is A'W A, A'W L and so on, so the wide
-    products are computed once for all cameras. `start` is the first frame of the sums.
-    """
-    A = span.pose.jacobian[span.own_rows]
-    (N, J), D = A.shape[:2], A.shape[3]
-    rows = slice(span.first - start, span.first - start + N)
-    by_state = A.reshape(N, 3 * J, D).swapaxes(1, 2)
-    L, R = _by_lengths_and_bias(columns, span, by_shape)
-    border, corner, gradient = sums.border[rows], sums.corner, sums.shared_gradient
-    every_camera = [camera.point_rows(span) for camera in cameras]
-    by_point = np.concatenate([points.by_point for points in every_camera], axis=2)  # (N, J, 2V, 3)
-    B_T = by_point.swapaxes(2, 3)
-    W = B_T @ by_point
-    residual = np.concatenate([points.residual for points in every_camera], axis=2)  # (N, J, 2V)
-    pull = (B_T @ residual[..., None])[..., 0]
-    own_columns, by_own = _own_unknowns(columns, every_camera)
-    if len(own_columns):
-        flat = by_own.reshape(-1, len(own_columns))
-        corner[np.ix_(own_columns, own_columns)] += flat.T @ flat
-        gradient[own_columns] += flat.T @ residual.ravel()
-        across = B_T @ by_own
-        _add_to_columns(border, own_columns, by_state @ across.reshape(N, 3 * J, -1))
-        if L is not None:
-            _add_pair(corner, columns[LENGTHS], own_columns, L.T @ across.reshape(3 * N * J, -1))
-        if R is not None:
-            _add_pair(corner, columns[COMMON_KEYPOINT_BIAS], own_columns, _by_joint(R, across))
-    _add_keypoint_bias_alone(corner, gradient, columns, every_camera, own_columns, by_own)
-    biased = [p for p in every_camera if p.by_bias is not None and keypoint_bias(p.number) in columns]
-    if biased:
-        _add_keypoint_bias(border, corner, columns, biased, A, L, R)
-    sums.blocks[rows, 0] += by_state @ (W @ A).reshape(N, 3 * J, D)
-    sums.gradient[rows] += (by_state @ pull.reshape(N, 3 * J, 1))[..., 0]
-    W_L = None if L is None else (W @ L.reshape(N, J, 3, -1)).reshape(3 * N * J, -1)
-    if L is not None and W_L is not None:
-        lengths = columns[LENGTHS]
-        border[..., lengths] += by_state @ W_L.reshape(N, 3 * J, -1)
-        corner[lengths, lengths] += L.T @ W_L
-        gradient[lengths] += L.T @ pull.ravel()
-    if R is not None:
-        bias, R_T, joints = columns[COMMON_KEYPOINT_BIAS], R.swapaxes(2, 3), np.arange(J)
-        W_R = W @ R
-        border[..., bias] += (W_R.swapaxes(2, 3) @ A).reshape(N, 3 * J, D).swapaxes(1, 2)
-        diagonal = (bias.start + 3 * joints)[:, None] + np.arange(3)
-        corner[diagonal[:, :, None], diagonal[:, None]] += np.sum(R_T @ W_R, axis=0)
-        gradient[bias] += np.sum(R_T @ pull[..., None], axis=0).ravel()
-        if W_L is not None:
-            _add_pair(corner, bias, np.r_[columns[LENGTHS]], _by_joint(R, W_L.reshape(N, J, 3, -1)))
-    return sum(float(points.cost.sum()) for points in every_camera)
-
-
-def _own_unknowns(columns: Mapping[str, slice], every_camera: Sequence[PointRows]) -> tuple[Integers, Array]:
-    """Return the columns (P,) of the cameras' own unknowns without keypoint bias, and the derivatives (N, J, 2V, P).
-
-    The derivatives belong to the two coordinates of each detection in each of the V cameras.
-    """
-    names = {name for points in every_camera for name in points.by_shared if name in columns}
-    own_columns = np.sort(np.concatenate([np.zeros(0, dtype=int), *(np.r_[columns[name]] for name in names)]))
-    N, J = every_camera[0].residual.shape[:2]
-    by_own = np.zeros((N, J, 2 * len(every_camera), len(own_columns)))
-    for i, points in enumerate(every_camera):
-        for name, values in points.by_shared.items():
-            if name in columns:
-                first = int(np.searchsorted(own_columns, columns[name].start))
-                by_own[:, :, 2 * i : 2 * i + 2, first : first + values.shape[2]] = values.reshape(N, J, 2, -1)
-    return own_columns, by_own
-
-
-def _add_keypoint_bias_alone(
-    corner: Array,
-    gradient: Array,
-    columns: Mapping[str, slice],
-    every_camera: Sequence[PointRows],
-    own_columns: Integers,
-    by_own: Array,
-) -> None:
-    """Add the curvature of the cameras' keypoint bias, alone and with their other own unknowns, in place.
-
-    The last two arguments are the results of `_own_unknowns`.
-    """
-    for i, points in enumerate(every_camera):
-        bias = columns.get(keypoint_bias(points.number))
-        if points.by_bias is None or bias is None:
-            continue
-        by_bias = np.repeat(points.by_bias, 2, axis=1)  # the derivatives with respect to the bias are diagonal
-        corner[bias, bias] += np.diag(np.sum(by_bias**2, axis=0))
-        gradient[bias] += np.sum(by_bias * points.residual.reshape(by_bias.shape), axis=0)
-        of_camera = by_own[:, :, 2 * i : 2 * i + 2].reshape(*by_bias.shape, -1)
-        _add_pair(corner, bias, own_columns, np.einsum("nk,nkp->kp", by_bias, of_camera))
-
-
-def _add_keypoint_bias(
-    border: Array,
-    corner: Array,
-    columns: Mapping[str, slice],
-    biased: Sequence[PointRows],
-    A: Array,
-    L: Array | None,
-    R: Array | None,
-) -> None:
-    """Add the curvature between the cameras' keypoint bias and states, lengths and common bias, in place.
-
-    The keypoint bias of a joint in one camera moves only the two coordinates of that joint. A, L and R are defined in
-    `_add_detections`.
-    """
-    N, J, _, D = A.shape
-    across = np.concatenate(
-        [p.by_point.swapaxes(2, 3) * np.expand_dims(np.asarray(p.by_bias), (2, 3)) for p in biased], axis=3
-    )
-    by_view = np.array([np.r_[columns[keypoint_bias(p.number)]] for p in biased]).reshape(-1, J, 2)
-    bias_columns = by_view.swapaxes(0, 1).reshape(J, -1)  # (J, 2V), as the last axes of B'K (N, J, 3, 2V)
-    by_state = (across.swapaxes(2, 3) @ A).reshape(N, J, -1, 2, D)
-    for number, points in enumerate(biased):
-        border[..., columns[keypoint_bias(points.number)]] += by_state[:, :, number].reshape(N, 2 * J, D).swapaxes(1, 2)
-    stacked = across.swapaxes(0, 1).reshape(J, 3 * N, -1)
-    if L is not None:
-        by_length = L.reshape(N, J, 3, -1).transpose(1, 3, 0, 2).reshape(J, -1, 3 * N) @ stacked  # (J, L, 2V)
-        _add_pair(corner, columns[LENGTHS], bias_columns.ravel(), by_length.swapaxes(0, 1).reshape(L.shape[1], -1))
-    if R is not None:
-        by_common = R.transpose(1, 3, 0, 2).reshape(J, 3, 3 * N) @ stacked  # (J, 3, 2V)
-        for joint, values in enumerate(by_common):
-            start = columns[COMMON_KEYPOINT_BIAS].start + 3 * joint
-            _add_pair(corner, slice(start, start + 3), bias_columns[joint], values)
-
-
-def _by_lengths_and_bias(
-    columns: Mapping[str, slice], span: Span, by_shape: _ByShape | None
-) -> tuple[Array | None, Array | None]:
-    """Return the derivatives of markers with respect to the lengths, (3NJ, L), and to their own keypoint bias.
-
-    The derivatives with respect to the bias have the shape (N, J, 3, 3). Either array is None if its unknowns are
-    fixed.
-    """
-    if by_shape is None:
-        is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns
-        return None, span.rotations[span.own_rows] if is_free and span.rotations is not None else None
-    by_length, by_offset = (values[span.own_rows] for values in by_shape)
-    by_length = by_length.reshape(-1, by_length.shape[3])
-    if COMMON_KEYPOINT_BIAS not in columns:
-        return by_length, None
-    # Products for each joint are faster if its values are contiguous.
-    return by_length, by_offset.swapaxes(0, 1).copy().swapaxes(0, 1)
-
-
-def _by_joint(R: Array, values: Array) -> Array:
-    """Return the sum over frames of R' v, (3J, P), for each joint, from R (N, J, 3, 3) and v (N, J, 3, P)."""
-    N, J = R.shape[:2]
-    transposed = R.transpose(1, 3, 0, 2).reshape(J, 3, 3 * N)
-    return (transposed @ values.swapaxes(0, 1).reshape(J, 3 * N, -1)).reshape(3 * J, -1)
-
-
-def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> None:
-    """Add the curvature between two kinds of shared unknowns, in place, on both sides of the diagonal."""
-    corner[rows, columns] += values
-    corner[columns, rows] += values.T
-
-
-def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermRows:
+def _rows_with_shape(term: Term, span: Span, by_shape: ByShape | None) -> TermRows:
     """Return the residuals and derivatives of a term of the cost, including derivatives by the body's shape.
 
     The term is evaluated for its own markers only, which move with the states, the lengths and their own offsets.
@@ -670,14 +494,7 @@ def _add_shared(
     K, shared_columns = K[..., is_read], shared_columns[is_read]
     for slot, offset in enumerate(stencil):
         frames = slice(first + offset, first + offset + len(K))
-        _add_to_columns(border[frames], shared_columns, rows.jacobian[:, :, slot].swapaxes(1, 2) @ K)
+        add_to_columns(border[frames], shared_columns, rows.jacobian[:, :, slot].swapaxes(1, 2) @ K)
     flat = K.reshape(-1, len(shared_columns))
     corner[np.ix_(shared_columns, shared_columns)] += flat.T @ flat
     shared_gradient[shared_columns] += flat.T @ rows.residual.ravel()
-
-
-def _add_to_columns(border: Array, columns: Integers, values: Array) -> None:
-    """Add values (n, D, C) to some columns (C,) of a border (n, D, P), in place."""
-    breaks = [0, *(1 + np.flatnonzero(np.diff(columns) != 1)), len(columns)]
-    for begin, end in pairwise(breaks if len(columns) else []):  # slices are many times faster than indices
-        border[..., int(columns[begin]) : int(columns[end - 1]) + 1] += values[..., begin:end]

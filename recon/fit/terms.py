@@ -164,6 +164,37 @@ class PointRows:
     """
 
 
+@dataclass(frozen=True)
+class FootRows:
+    """M residuals of each of F feet, with derivatives with respect to the foot in each of n frames and the next one."""
+
+    feet: Index
+    """Indices (F,) of the feet's markers."""
+    cost: Array
+    """Cost of the feet in each frame, shape (n,)."""
+    residual: Array
+    """Weighted residuals, shape (n, F, M)."""
+    directions: Array
+    """Directions of a foot's movement to which its residuals respond, shape (M, 3)."""
+    scales: tuple[Array, Array]
+    """Factors (n, F) on `directions` that give the derivatives with respect to the foot at nominal size, 1/m.
+
+    The first belong to the foot in the residual's frame, the second to the foot in the next frame.
+    """
+    by_size: Array | None = None
+    """Derivatives with respect to the size, shape (n, F, M); None if the size is fixed or has no influence."""
+
+    def as_term_rows(self, jacobian: Array) -> TermRows:
+        """Return the residuals with derivatives by the states, given those (n + 1, J, 3, D) of all markers."""
+        n, F, M = self.residual.shape
+        moved = self.directions @ jacobian[:, self.feet]
+        rows = np.stack(
+            [moved[slot : n + slot] * scale[..., None, None] for slot, scale in enumerate(self.scales)], axis=3
+        )
+        by_shared = {} if self.by_size is None else {SIZE: self.by_size.reshape(n, F * M, 1)}
+        return TermRows(self.cost, self.residual.reshape(n, F * M), rows.reshape(n, F * M, 2, -1), by_shared)
+
+
 class ReprojectionErrors(NamedTuple):
     """Errors of the detections of J markers in N frames of one camera."""
 
@@ -646,23 +677,33 @@ class StanceVelocity:
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
-        n, F = len(span.states) - 1, len(self.feet)
+        if not jacobian:
+            loss, _ = self._loss(self._velocity(span)[0])
+            return TermRows(self._weight * 0.5 * loss.sum(axis=1))
+        return self.foot_rows(span).as_term_rows(span.pose.jacobian)
+
+    def foot_rows(self, span: Span) -> FootRows:
+        """Return this term's cost and residuals, with derivatives with respect to the feet and the size."""
+        v, factor, by_size = self._velocity(span)
+        loss, slope = self._loss(v)
+        root = np.sqrt(self._weight * slope)[..., None] / self.sigma_m_s
+        later = factor * self.fps * root[..., 0]
+        by_size = by_size * root if SIZE in span.shared else None
+        cost = self._weight * 0.5 * loss.sum(axis=1)
+        return FootRows(self.feet, cost, v * root, np.eye(3), (-later, later), by_size)
+
+    @property
+    def _weight(self) -> float:
+        return REFERENCE_HZ / self.fps
+
+    def _velocity(self, span: Span) -> tuple[Array, float, Array]:
+        """Return the velocities (n, F, 3), the size about which they are linear, and their derivatives by the size."""
         size = size_of(span.shared)
         nominal = np.diff(span.pose.points_m[:, self.feet], axis=0) * self.fps
-        factor, by_size = size, nominal
-        if self.by_size is not None:
-            factor, by_size = self.at, self.by_size[span.first : span.first + n]
-        v = factor * nominal + (size - factor) * by_size
-        loss, slope = self._loss(v)
-        weight = REFERENCE_HZ / self.fps
-        cost = 0.5 * weight * loss.sum(axis=1)
-        if not jacobian:
-            return TermRows(cost)
-        root = np.sqrt(weight * slope)[..., None] / self.sigma_m_s
-        foot = span.pose.jacobian[:, self.feet] * self.fps * factor
-        rows = np.stack([-foot[:-1] * root[..., None], foot[1:] * root[..., None]], axis=3)
-        by_shared = {SIZE: (by_size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
-        return TermRows(cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
+        if self.by_size is None:
+            return size * nominal, size, nominal
+        by_size = self.by_size[span.first : span.first + len(nominal)]
+        return self.at * nominal + (size - self.at) * by_size, self.at, by_size
 
 
 @dataclass(frozen=True)
@@ -695,6 +736,11 @@ class OnGround:
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
+        rows = self.foot_rows(span)
+        return rows.as_term_rows(span.pose.jacobian) if jacobian else TermRows(rows.cost)
+
+    def foot_rows(self, span: Span) -> FootRows:
+        """Return this term's cost and residuals, with derivatives with respect to the feet and the size."""
         n = len(span.states) - 1
         frames = slice(span.first, span.first + n)
         foot = span.pose.points_m[:, self.feet]
@@ -703,17 +749,13 @@ class OnGround:
         factor = 1.0 if self.at is None else size_of(span.shared) / self.at
         by_factor = middle[..., 2] - middle[..., :2] @ self.plane[1:]
         r = (factor * by_factor - self.plane[0] + self.middle @ self.plane[1:]) * root
-        cost = 0.5 * np.sum(r * r, axis=1)
-        if not jacobian:
-            return TermRows(cost)
-        normal = np.array([-self.plane[1], -self.plane[2], 1.0])
-        lift = 0.5 * factor * np.einsum("a,njad->njd", normal, span.pose.jacobian[:, self.feet])
-        rows = np.stack([lift[:-1] * root[..., None], lift[1:] * root[..., None]], axis=2)
-        if self.at is None or SIZE not in span.shared:
-            return TermRows(cost, r, rows)
-        return TermRows(cost, r, rows, {SIZE: (by_factor * root / self.at)[..., None]})
+        normal, scale = np.array([[-self.plane[1], -self.plane[2], 1.0]]), 0.5 * factor * root
+        by_size = None if self.at is None or SIZE not in span.shared else (by_factor * root / self.at)[..., None]
+        return FootRows(self.feet, 0.5 * np.sum(r * r, axis=1), r[..., None], normal, (scale, scale), by_size)
 
 
+FOOT_TERMS = (StanceVelocity, OnGround)
+"""Terms of the feet, each with a method `foot_rows`."""
 MARKER_TERMS = (Reprojection, Heading, StanceVelocity, OnGround)
 """Terms that read the markers (`span.pose`), each with a method `on_own_markers`.
 

@@ -159,8 +159,10 @@ def of_three_cameras(*, free_shape: bool) -> LeastSquares:
     return replace(problem, terms=[*problem.terms, *cameras], shared=shared)
 
 
+@pytest.mark.parametrize("frames_at_once", [2, 128])
 @pytest.mark.parametrize("free_shape", [True, False])
-def test_summed_cameras_give_the_equations_of_each_cameras_rows(monkeypatch, free_shape):
+def test_summed_cameras_and_feet_give_the_equations_of_each_terms_rows(monkeypatch, free_shape, frames_at_once):
+    monkeypatch.setattr(module, "_FRAMES_AT_ONCE", frames_at_once)
     problem, states, rng = of_three_cameras(free_shape=free_shape), some_states(), np.random.default_rng(6)
     shared = {name: mean + 0.01 * rng.normal(size=mean.shape) for name, mean in problem.expected().items()}
     summed = problem.normal(states, shared)
