@@ -26,10 +26,9 @@ a,
     cov(joint) = size^2 G C G' + var(size) q q'
 
 where C is the frame's covariance at a given size. The covariance relative to the mean of all joints is the same with G
-and q minus their means over the joints. If lengths are unknown, they are appended to the frame's unknowns in G, C and a
-(`_add_shape`). Two parts are the same in every frame: the variance of the common keypoint bias beyond its expected
-variance (`excess_bias_m2`), and the variance of a marker about the same point of the real animal
-(`Body.marker_sigma_m`).
+and q minus their means over the joints. Unknown lengths are appended to the frame's unknowns in G, C and a. Two parts
+are the same in every frame: the variance of the common keypoint bias beyond its expected variance (`excess_bias_m2`),
+and the variance of a marker about the same point of the real animal (`Body.marker_sigma_m`).
 
 **3. Persistent errors.** The cost treats the errors of neighbouring frames as independent, but they are correlated. All
 variances except that of a marker are therefore multiplied by `variance_factor`, the correlation time in frames. A
@@ -79,13 +78,8 @@ from recon.geometry.kinematics import YAW
 
 _NEARLY_FREE = 1e-3
 """Precision of an almost unknown position, 1/m^2, and heading, 1/rad^2."""
-_FRAMES_AT_ONCE = 256
-"""Number of frames whose covariances are computed at once if the lengths are known, to limit the memory."""
-_FRAMES_OF_SHAPE = 32
-"""Number of frames whose covariances are computed at once if lengths and offsets are unknown, to limit the memory.
-
-The number is smaller, because lengths and offsets add many derivatives to each frame.
-"""
+_FRAMES_AT_ONCE = 64
+"""Number of frames whose covariances are computed at once, few enough for the processor's cache."""
 _BIAS_ROUNDS = 10
 """Number of rounds of expectation-maximisation for the spread of the keypoint bias."""
 _PRIOR_COUNT = 8
@@ -436,13 +430,9 @@ def posterior(
         """Fill the arrays window by window, and yield each window's normal equations without shared unknowns."""
         for window, by_others, window_by_size in at_minimum.windows():  # one after the other, because a window is large
             rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
-            if at_minimum.lengths is None:
-                _add_shared(state_covariance, by_others, at_minimum.covariance_root)
-                joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
-            else:
-                joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
-                _add_shape(joints, state_covariance, at_minimum, body, states[rows], by_others, size)
-            absolute[rows], relative[rows], by_size[rows] = joints
+            absolute[rows], relative[rows], by_size[rows] = _joint_covariances(
+                at_minimum, body, states[rows], state_covariance, by_others, window_by_size, size
+            )
             angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
             state_by_size[rows] = window_by_size
             by_size_alone[rows] = window_by_size + by_others @ at_minimum.others_by_size
@@ -466,48 +456,46 @@ def posterior(
     )
 
 
-def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
-    """Add the covariance due to the shared unknowns other than the size, Y S^-1 Y', to the states' covariance."""
-    for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
-        rows = slice(first, first + _FRAMES_AT_ONCE)
-        lasting = _times_root(by_others[rows], root)
-        state_covariance[rows] += lasting @ lasting.swapaxes(1, 2)
-
-
-def _add_shape(
-    joints: tuple[Array, Array, Array],
-    state_covariance: Array,
+def _joint_covariances(
     at_minimum: Curvature,
     body: Body,
     states: Array,
+    state_covariance: Array,
     by_others: Array,
+    state_by_size: Array,
     size: float,
-) -> None:
-    """Add the uncertainty of all shared unknowns except the size to the joints, if lengths are among these unknowns.
+) -> tuple[Array, Array, Array]:
+    """Return the joints' absolute and relative covariances (n, J, 3, 3), m^2, and derivatives by size (n, J, 3), m.
 
-    `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives (n, J, 3) with respect to the
-    size. These arrays and the covariance of the states are changed in place. Let X (3, D + L) be the derivatives of a
-    joint with respect to states and lengths, and V (D + L, D + L) the covariance of both. The joint's covariance is
-    X V X'.
+    Relative covariances are those of the positions relative to the mean of the joints. The uncertainty of all shared
+    unknowns except the size is added to the covariance of the states (n, D, D), in place. `by_others` and
+    `state_by_size` are the derivatives of `Curvature.windows`.
+
+    Let X (3, D + L) be the derivatives of a joint with respect to states and unknown lengths, and V (D + L, D + L) the
+    covariance of both. The joint's covariance is X V X'.
     """
-    absolute, relative, by_size = joints
-    shape, root_of_lengths = Shape.of_body(body), at_minimum.covariance_root[at_minimum.lengths]
-    for first in range(0, len(states), _FRAMES_OF_SHAPE):
-        rows = slice(first, first + _FRAMES_OF_SHAPE)
-        pose, by_length = body.tree.pose_with_jacobian(states[rows]), shape.jacobian(body, states[rows])
-        n, J, _, D = pose.jacobian.shape
-        root_of_states = -_times_root(by_others[rows], at_minimum.covariance_root)
-        V = np.empty((n, D + len(root_of_lengths), D + len(root_of_lengths)))
-        V[:, :D, :D] = root_of_states @ root_of_states.swapaxes(1, 2)
-        V[:, :D, D:] = root_of_states @ root_of_lengths.T
-        V[:, D:, :D] = V[:, :D, D:].swapaxes(1, 2)
-        V[:, D:, D:] = root_of_lengths @ root_of_lengths.T
-        state_covariance[rows] += V[:, :D, :D]
-        X = np.concatenate([pose.jacobian, by_length], axis=3)
-        for covariance, by_both in ((absolute, X), (relative, X - X.mean(axis=1, keepdims=True))):
-            moved = (by_both.reshape(n, 3 * J, -1) @ V).reshape(n, J, 3, -1)
-            covariance[rows] += moved @ by_both.swapaxes(2, 3)
-        by_size[rows] += size * by_length @ at_minimum.others_by_size[at_minimum.lengths]
+    n, J, root = len(states), len(body.markers), at_minimum.covariance_root
+    absolute, relative, by_size = np.empty((n, J, 3, 3)), np.empty((n, J, 3, 3)), np.empty((n, J, 3))
+    for first in range(0, n, _FRAMES_AT_ONCE):
+        rows = slice(first, first + _FRAMES_AT_ONCE)
+        root_of_states = _times_root(by_others[rows], root)
+        state_covariance[rows] += root_of_states @ root_of_states.swapaxes(1, 2)
+        pose = body.tree.pose_with_jacobian(states[rows])
+        X, V = pose.jacobian, state_covariance[rows]
+        by_size[rows] = pose.points_m + size * (X @ state_by_size[rows, None, :, None])[..., 0]
+        if at_minimum.lengths is not None:
+            root_of_lengths = root[at_minimum.lengths]
+            by_length = Shape.of_body(body).jacobian(body, states[rows])
+            by_size[rows] += size * by_length @ at_minimum.others_by_size[at_minimum.lengths]
+            X = np.concatenate([X, by_length], axis=3)
+            across = root_of_states @ -root_of_lengths.T
+            of_lengths = np.broadcast_to(root_of_lengths @ root_of_lengths.T, (len(V), *2 * across.shape[2:]))
+            V = np.block([[V, across], [across.swapaxes(1, 2), of_lengths]])
+        moved = _times(X, V)
+        absolute[rows] = moved @ X.swapaxes(2, 3)
+        X, moved = (values - values.mean(axis=1, keepdims=True) for values in (X, moved))
+        relative[rows] = moved @ X.swapaxes(2, 3)
+    return absolute, relative, by_size
 
 
 def _without_pixels(
@@ -601,28 +589,6 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         fraction = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
     return np.clip(fraction, 0.0, 1.0)
-
-
-def _joint_covariances(
-    body: Body, states: Array, state_covariance: Array, size: float = 1.0, state_by_size: Array | None = None
-) -> tuple[Array, Array, Array]:
-    """Return the joints' absolute and relative covariances (T, J, 3, 3), m^2, and derivatives by size (T, J, 3), m.
-
-    Relative covariances are those of the positions relative to the mean of the joints.
-    """
-    T, J = len(states), len(body.markers)
-    absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
-    for first in range(0, T, _FRAMES_AT_ONCE):
-        rows = slice(first, first + _FRAMES_AT_ONCE)
-        pose = body.tree.pose_with_jacobian(states[rows])
-        by_states = pose.jacobian
-        moved = _times(by_states, state_covariance[rows])
-        absolute[rows] = moved @ by_states.swapaxes(2, 3)
-        centred, moved = (values - values.mean(axis=1, keepdims=True) for values in (by_states, moved))
-        relative[rows] = moved @ centred.swapaxes(2, 3)
-        if state_by_size is not None:
-            by_size[rows] = pose.points_m + size * (by_states @ state_by_size[rows, None, :, None])[..., 0]
-    return absolute, relative, by_size
 
 
 def _relative_variances(body: Body, states: Array, angle_covariances: Sequence[Array]) -> Array:
