@@ -7,9 +7,9 @@ clip becomes much more likely when they are corrected (`recon.check.likelihood`)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, repeat
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import REFERENCE_HZ
+from recon.fit.triangulation import predicted_by_others
 from recon.geometry.camera import Camera
 
 FASTEST_M_S = 40.0
@@ -118,9 +119,12 @@ def input_findings(
     with one_thread():
         pictures = _other_pictures(motion, clip, named)
         if has_learned_prior and not is_explained:
-            for number, source in enumerate(motion.sources):
+            predictions: Iterable[tuple[Array, Array] | None] = repeat(None, len(motion.sources))
+            if len(motion.sources) > 2 and seek_swaps:
+                predictions = predicted_by_others(solution.views, solution.markers_m, [*solution.noise_px])
+            for number, (source, predicted) in enumerate(zip(motion.sources, predictions, strict=True)):
                 if number not in pictures:
-                    baseline = baseline_of(ground_clip, number, solution.states, solution.size)
+                    baseline = baseline_of(ground_clip, number, solution.states, solution.size, predicted)
                     trials = swaps(baseline, _is_unlike_prior(solution, motion.fps)) if seek_swaps else ()
                     exchanged += [swap_finding(trial, source, motion.body) for trial in trials]
                     if len(motion.sources) == 1 and not exchanged:

@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -63,8 +62,6 @@ STUDENT_T_DEGREES = 3.0
 """Degrees of freedom of Student's t distribution, which the errors of detections are assumed to have."""
 TESTED_S = 1.0
 """Duration of the part of a clip that is solved again for a test, seconds."""
-TRIANGULATED_S = 4.0
-"""Approximate duration of the parts that are triangulated at once, seconds, enough to estimate the keypoints' noise."""
 LOOSE_NOISE_FACTOR = 2.0
 """Factor by which the noise is multiplied in a fit in which each keypoint may belong to either side."""
 
@@ -162,14 +159,14 @@ class Baseline:
 
     clip: ClipProblem
     states: Array
-    other_views: tuple[View, ...] = ()
-    """The other views of the clip, which contributed to the states."""
+    is_only: bool = True
+    """Whether no other view contributed to the states."""
+    predicted: tuple[Array, Array] | None = None
+    """Keypoints (T, J, 2) that the other views predict, px, and their standard deviations (`predicted_by_others`)."""
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
     """Cache of the results of `refit`, with the first frame of a part and the frame after the last as keys."""
     _settled: dict[tuple[int, int], Estimate] = field(default_factory=dict, init=False, repr=False)
     """Cache of the results of `settled`, with the first frame of a part and the frame after the last as keys."""
-    _points_elsewhere_m: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
-    """Cache of the triangulated points of parts of the clip, with the first frames of the parts as keys."""
 
     @property
     def view(self) -> View:
@@ -187,7 +184,7 @@ class Baseline:
         """
         key = part.start, part.stop
         if key not in self._refits:
-            is_known = not self.other_views and part.stop - part.start == len(self.states)
+            is_known = self.is_only and part.stop - part.start == len(self.states)
             refit = Refit.of_states(self.clip, self.states) if is_known else refit_view(self.clip.part(part))
             self._refits[key] = refit
         return self._refits[key]
@@ -205,27 +202,6 @@ class Baseline:
             problem = clip.problem(noise_px[None, rows], 1.0, standing)
             self._settled[key] = problem.minimise(states, _RATE_TOLERANCE, _LENS_ITERATIONS)
         return self._settled[key]
-
-    def points_elsewhere_m(self, rows: slice) -> Array | None:
-        """Return the markers triangulated from the other views, in the world frame, metres, shape (T, J, 3).
-
-        Return None if there are fewer than two other views. Only the parts of about `TRIANGULATED_S` that contain some
-        of the given frames are triangulated, because triangulating a whole long clip would take longer than the search
-        for swaps. All other frames are NaN.
-        """
-        if len(self.other_views) < 2:
-            return None
-        T, points_m = len(self.states), np.full((*self.view.confidence.shape, 3), np.nan)
-        count = max(round(T / self.clip.fps / TRIANGULATED_S), 1)
-        for first, stop in pairwise(T * i // count for i in range(count + 1)):
-            if stop <= rows.start or rows.stop <= first:
-                continue
-            if first not in self._points_elsewhere_m:
-                start = max(first - 1, 0)  # interpolates a delayed view from the frame before
-                views = [view.part(slice(start, stop)) for view in self.other_views]
-                self._points_elsewhere_m[first] = triangulate_views(views).points_m[first - start :]
-            points_m[first:stop] = self._points_elsewhere_m[first]
-        return points_m
 
 
 def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:
@@ -257,14 +233,15 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
     return projected, sigma_px
 
 
-def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> Baseline:
+def baseline_of(
+    clip: ClipProblem, number: int, states: Array, size: float, predicted: tuple[Array, Array] | None = None
+) -> Baseline:
     """Return the baseline of the view with index `number` of a clip, given the states (T, D) and the animal's size.
 
-    The root of the states is in the world frame.
+    The root of the states is in the world frame. `predicted` is what the other views predict (`predicted_by_others`).
     """
     single = single_view(clip, clip.views[number])
-    other_views = tuple(view for i, view in enumerate(clip.views) if i != number)
-    return Baseline(single, single.nominal(states, size), other_views)
+    return Baseline(single, single.nominal(states, size), len(clip.views) == 1, predicted)
 
 
 def best_seen(view: View, fps: float) -> slice:

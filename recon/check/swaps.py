@@ -2,8 +2,9 @@
 
 A fit follows exchanged keypoints, so its residuals do not reveal a swap. Candidate stretches of frames are first found
 by two cheap signs. First, the keypoints of both sides jump at the same time at the beginning and the end of a swap,
-unless the legs cross there. Second, a fit in which each keypoint of a leg may belong to either side shows which side is
-more likely in each frame. Stretches are left out if two or more other cameras confirm the sides as given.
+unless the legs cross there. Second, what two or more other cameras see shows which side is more likely in each frame.
+Where there are no such cameras, a fit in which each keypoint of a leg may belong to either side shows it. Stretches are
+left out if two or more other cameras confirm the sides as given.
 
 The sides are then exchanged in each of the most likely stretches, and one second of the clip around the stretch is
 solved again. A stretch is a swap if the clip becomes clearly more likely (`exceeds_margin`), also compared with
@@ -117,7 +118,7 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
         if not trials or not likelihood.exceeds_margin(trials[0].ratio):
             T = len(baseline.states)
             for trial in (trial for trial in trials if trial.stretch.rows == slice(0, T) and not found_swaps):
-                if trial.ratio > 0 or _evidence(baseline, kinds)["all"].sum() > MIN_TRIED_GAIN:
+                if trial.ratio > 0 or _appearance_gain(baseline, kinds) > MIN_TRIED_GAIN:
                     found_swaps.append(replace(trial, clear=False))
             break
         best, *other_trials = trials
@@ -171,7 +172,7 @@ def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
     states = baseline.states.copy()
     states[_part(baseline.view, trial.stretch.rows, baseline.clip.fps)] = trial.refit.states
     clip = baseline.with_view(with_exchanged(baseline.view, trial.stretch))
-    return Baseline(clip, states, baseline.other_views)
+    return Baseline(clip, states, baseline.is_only, baseline.predicted)
 
 
 def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
@@ -195,27 +196,28 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
 
 
 def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
-    """Return whether other cameras show that left and right are not swapped in a stretch of a view.
+    """Return whether other cameras show that left and right are not swapped in a stretch of a view."""
+    gains = np.nan_to_num(_gains_elsewhere(baseline, stretch.permutation))
+    return likelihood.exceeds_margin(-float(gains[stretch.rows][:, stretch.markers].sum()))
 
-    Points triangulated from the other cameras show left and right without another fit.
+
+def _gains_elsewhere(baseline: Baseline, permutation: Index) -> Array:
+    """Return each keypoint's log-likelihood gain from a permutation (J,), given the other cameras, shape (T, J).
+
+    The gain is NaN if the other cameras do not predict both the keypoint and its counterpart within the noise of a
+    detection (`predicted_by_others`).
     """
-    view, clip, rows = baseline.view, baseline.clip, stretch.rows
-    # The pictures of a delayed view lie between two frames.
-    points_m = baseline.points_elsewhere_m(slice(rows.start - 1, rows.stop + 1))
-    if points_m is None:
-        return False
-    projected, _ = view.project(view.shift_to_exposure(points_m))
-    sigma_px = (
-        likelihood.LOOSE_NOISE_FACTOR
-        * clip.noise_px(clip.markers(baseline.states), np.ones((1, len(stretch.permutation))))[0]
-    )
-    given_cost, exchanged_cost = (
-        likelihood.log_tail((points - view.xy_px) / sigma_px[..., None])
-        for points in (projected, projected[:, stretch.permutation])
-    )
-    is_seen = np.isfinite(projected[..., 0]) & np.isfinite(projected[:, stretch.permutation, 0]) & view.present
-    gains = np.where(is_seen & np.isfinite(sigma_px), given_cost - exchanged_cost, 0.0)
-    return likelihood.exceeds_margin(-float(gains[rows][:, stretch.markers].sum()))
+    view, clip = baseline.view, baseline.clip
+    if baseline.predicted is None:
+        return np.full(view.present.shape, np.nan)
+    predicted_px, predicted_sigma_px = baseline.predicted
+    (noise_px,) = clip.noise_px(clip.markers(baseline.states), np.ones((1, len(permutation))))
+    noise_px, other_px = likelihood.LOOSE_NOISE_FACTOR * noise_px, predicted_px[:, permutation]
+    sigma_px = np.maximum(predicted_sigma_px, predicted_sigma_px[:, permutation])
+    residuals = [(points - view.xy_px) / np.hypot(noise_px, sigma_px)[..., None] for points in (predicted_px, other_px)]
+    given_cost, exchanged_cost = map(likelihood.log_tail, residuals)
+    is_finite = np.isfinite(residuals).all(axis=(0, -1))
+    return np.where(is_finite & (sigma_px < noise_px), given_cost - exchanged_cost, np.nan)
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
@@ -272,19 +274,45 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     """Return each frame's log-likelihood gain from swapping left and right, (T,), keyed by the kind of swap.
 
-    The gain of the kind "all" is computed from all legs.
+    The gain of the kind "all" is computed from all legs. If the other cameras do not predict any leg in some frames in
+    which the view sees legs, gains that are not known from these cameras are those of `_gains_of_fit`.
     """
+    legs, in_legs, permutation = _of_legs(kinds)
+    gains = _gains_elsewhere(baseline, permutation)
+    is_open = baseline.view.present[:, in_legs].any(axis=1) & np.isnan(gains[:, in_legs]).all(axis=1)
+    if is_open.any():
+        gains = np.where(np.isnan(gains), _gains_of_fit(baseline, permutation, in_legs), gains)
+    gains = np.where(np.isfinite(baseline.states[:, :1]), np.nan_to_num(gains), 0.0)
+    return {name: gains[:, markers].sum(axis=1) for name, markers in (legs | {"all": in_legs}).items()}
+
+
+def _of_legs(kinds: dict[str, Index]) -> tuple[dict[str, Bools], Bools, Index]:
+    """Return the masks (J,) of the legs of each kind but "all", the mask of all legs, and their permutation (J,)."""
     legs = {name: permutation != np.arange(len(permutation)) for name, permutation in kinds.items() if name != "all"}
     in_legs = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
-    permutation, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), baseline.view.xy_px
+    return legs, in_legs, np.where(in_legs, kinds["all"], np.arange(len(in_legs)))
+
+
+def _appearance_gain(baseline: Baseline, kinds: dict[str, Index]) -> float:
+    """Return the log-likelihood gain from swapping left and right in the whole clip, without the other cameras."""
+    _, in_legs, permutation = _of_legs(kinds)
+    gains = _gains_of_fit(baseline, permutation, in_legs)[:, in_legs]
+    return float(gains[np.isfinite(baseline.states[:, 0])].sum())
+
+
+def _gains_of_fit(baseline: Baseline, permutation: Index, in_legs: Bools) -> Array:
+    """Return each keypoint's log-likelihood gain (T, J) from a permutation (J,) that exchanges the legs, a mask (J,).
+
+    The gains are those of a fit in which each keypoint of a leg may be on either side.
+    """
+    seen = baseline.view.xy_px
     projected, sigma_px = likelihood.project_either_side(
         baseline, with_exchanged(baseline.view, _Stretch(slice(None), permutation)), in_legs
     )
     given_cost, exchanged_cost = (
         likelihood.log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, permutation])
     )
-    gains = np.where(np.isfinite(baseline.states[:, :1]), given_cost - exchanged_cost, 0.0)
-    return {name: gains[:, markers].sum(axis=1) for name, markers in (legs | {"all": in_legs}).items()}
+    return given_cost - exchanged_cost
 
 
 def jumps(view: View, permutation: Index) -> Array:

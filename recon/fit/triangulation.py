@@ -24,7 +24,7 @@ far off the spline lose their weight, and short gaps are filled.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -55,6 +55,8 @@ _MEDIAN_OF_TWO_RAYS = 0.9099
 """Median of a detection's squared error over its variance if two rays meet, which leave one degree of freedom."""
 _LEAST_OF_KEYPOINT = 20
 """Minimum number of detections required to estimate a keypoint's own noise."""
+_LEAST_INFORMATION = 1e-2
+"""Information on each coordinate of a point (m^-2) without detections, a standard deviation of 10 m."""
 _MIN_KNOTS = 6
 """Minimum number of points required to fit a spline."""
 
@@ -254,6 +256,66 @@ def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> 
         joint_squares = square[:, :, j][is_counted[:, :, j]]
         estimates[j] = np.median(joint_squares) if len(joint_squares) >= _LEAST_OF_KEYPOINT else overall
     return np.clip(np.sqrt(estimates), SIGMAS_PX[0], max(SIGMAS_PX[1], 2 * expected_px))
+
+
+def predicted_by_others(
+    views: Sequence[View], points_m: Array, sigma_px: Sequence[Array]
+) -> Iterator[tuple[Array, Array]]:
+    """Yield, for each view, where the other views predict its keypoints to be, and the standard deviations.
+
+    Points are triangulated from the other views by one Gauss-Newton step with Cauchy's weights from given points. The
+    step removes the influence that the view itself had on these points.
+
+    Parameters
+    ----------
+    views
+        V views of the same T frames and J keypoints, in one world.
+    points_m
+        The given points, such as the markers of a fit of all views, metres, shape (T, J, 3).
+    sigma_px
+        Noise of the detections of each of the V views, pixels, shape (T, J).
+
+    Yields
+    ------
+    predicted_px : array, shape (T, J, 2)
+        Predicted keypoints at the times of the view's pictures, NaN unless two other views agree with the given
+        point within `OUTLIER_SIGMAS`.
+    predicted_sigma_px : array, shape (T, J)
+        Standard deviation of the prediction, the root mean square of both axes.
+    """
+    shape = points_m.shape
+    normals, pulls, counts = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape[:2], dtype=int)
+    for view, noise_px in zip(views, sigma_px, strict=True):
+        normal, pull, is_inlier = _normal_equations(view, points_m, noise_px)
+        normals += normal
+        pulls += pull
+        counts += is_inlier
+    for view, noise_px in zip(views, sigma_px, strict=True):
+        normal, pull, is_inlier = _normal_equations(view, points_m, noise_px)
+        is_known = counts - is_inlier >= 2
+        information = np.where(is_known[..., None, None], normals - normal, 0.0)
+        covariance_m2 = np.linalg.inv(information + _LEAST_INFORMATION * np.eye(3))
+        step_m = -(covariance_m2 @ (pulls - pull)[..., None])[..., 0]
+        predicted_px, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(points_m + step_m))
+        variance_px2 = 0.5 * np.sum((by_point @ covariance_m2) * by_point, axis=(-1, -2))
+        is_known &= valid
+        yield np.where(is_known[..., None], predicted_px, np.nan), np.where(is_known, np.sqrt(variance_px2), np.nan)
+
+
+def _normal_equations(view: View, points_m: Array, sigma_px: Array) -> tuple[Array, Array, Bools]:
+    """Return J'WJ (T, J, 3, 3) and J'W times the errors (T, J, 3) of a view at given points, and a mask of inliers.
+
+    W are Cauchy's weights. Points that the view does not see have zeros.
+    """
+    projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(points_m))
+    error = (projected - view.xy_px) / sigma_px[..., None]
+    is_seen = valid & np.isfinite(error[..., 0])
+    error = np.where(is_seen[..., None], error, 0.0)
+    square = np.sum(error**2, axis=-1)
+    weight = 1.0 / (1.0 + square / OUTLIER_SIGMAS**2)
+    by_point = np.where(is_seen[..., None, None], by_point / sigma_px[..., None, None], 0.0)
+    weighted = (by_point * weight[..., None, None]).swapaxes(-1, -2)
+    return weighted @ by_point, (weighted @ error[..., None])[..., 0], is_seen & (square < OUTLIER_SIGMAS**2)
 
 
 def smoothed(result: Triangulation, fps: float) -> Triangulation:

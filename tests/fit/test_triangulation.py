@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recon.clip import View, still_view
-from recon.fit.triangulation import OUTLIER_SIGMAS, smoothed, triangulate_views
+from recon.fit.triangulation import OUTLIER_SIGMAS, predicted_by_others, smoothed, triangulate_views
 from recon.geometry.camera import Camera
 from recon.testing.cameras import aim_camera
 
@@ -66,6 +66,23 @@ def test_noise_is_estimated_and_covariances_are_correct(count):
     square = np.einsum("na,nab,nb->n", error_m[known], np.linalg.inv(result.covariance_m2[known]), error_m[known])
     assert 0.84 < np.mean(square < 6.25) < 0.97  # 6.25 is the 90 % quantile of chi square with three degrees of freedom
     assert np.median(np.linalg.norm(error_m[known], axis=-1)) < 0.008
+
+
+def test_other_views_predict_the_keypoints_of_a_view():
+    """The given points are 5 mm off, and the first view, which has a wrong point, does not contribute to its own."""
+    views = seen(rig(4), points())
+    views[0] = moved(views[0], (slice(None), 0), views[0].xy_px[:, 1])
+    views[1] = moved(views[1], (5, 2), np.nan)
+    views[2] = moved(views[2], (5, 2), np.nan)
+    noise_px = [np.full((T, 6), SIGMA_PX)] * 4
+    start_m = points() + np.random.default_rng(3).normal(0, 0.005 / np.sqrt(3), points().shape)
+    (predicted_px, sigma_px), *_ = predicted_by_others(views, start_m, noise_px)
+    assert np.argwhere(np.isnan(sigma_px)).tolist() == [[5, 2]]
+    true_px, _ = views[0].project(points())
+    errors = (predicted_px - true_px) / sigma_px[..., None]
+    assert np.nanstd(errors) == pytest.approx(1.0, rel=0.15)
+    triangulated_px, _ = views[0].project(triangulate_views(views[1:]).points_m)
+    assert np.nanmax(np.abs(predicted_px - triangulated_px)) < 1.0
 
 
 def test_outliers_of_single_cameras_are_left_out():
