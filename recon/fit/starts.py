@@ -198,7 +198,10 @@ _HEADINGS = 18
 _APART_RAD = 0.5
 """Minimum angle (rad) between the headings of two starts."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
-"""Factors on the noise during the approach, in the order in which they are used."""
+"""Factors on the noise during the approach, in the order in which they are used.
+
+Several cameras use only the first and the last factor, because they determine the animal's position.
+"""
 _SAME_M = 0.05
 """Maximum mean distance (m) between the markers of two motions that count as the same minimum."""
 ALTERNATIVE_COST = 20.0
@@ -251,7 +254,8 @@ def approach(clip: ClipProblem) -> list[Estimate]:
             minima.append(minimum(minima[-1].states, widen, tolerance, 15))
         return minima
 
-    narrower = [(widen, _INTERMEDIATE_TOLERANCE) for widen in _NOISE_FACTORS[1:-1]]
+    between = _NOISE_FACTORS[1:-1] if len(clip.views) == 1 else ()
+    narrower = [(widen, _INTERMEDIATE_TOLERANCE) for widen in between]
     narrower.append((_NOISE_FACTORS[-1], 3e-3 if fast else 1e-3))
     likeliest, *further = (states[kept_frames] for states in _starts(clip))
     first = minimum(likeliest, _NOISE_FACTORS[0], 1e-2, 12)
