@@ -50,8 +50,6 @@ The unit is the decrease at which the search ends.
 """
 _MAX_EXTENSION = 4.0
 """Maximum factor by which a step is extended."""
-_TRIAL_ITERATIONS = 4
-"""Number of iterations after which a search stops if its cost is above the limit `useful_cost`."""
 _STEP_FRACTIONS = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
@@ -268,18 +266,12 @@ class LeastSquares:
         return cost
 
     def minimise(
-        self,
-        states: Array,
-        tolerance: float,
-        max_iterations: int,
-        shared: Mapping[str, Array] | None = None,
-        useful_cost: float = np.inf,
+        self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
     ) -> Estimate:
         """Return the minimum that a search reaches from given states (T, D).
 
         The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps,
-        the search also stops if the ratio of the last two decreases predicts so small a decrease for the next step. The
-        search is given up if the cost after `_TRIAL_ITERATIONS` iterations is above `useful_cost`.
+        the search also stops if the ratio of the last two decreases predicts so small a decrease for the next step.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, np.nan, 0, False, shared), _FIRST_DAMPING  # the step computes the cost
@@ -291,8 +283,6 @@ class LeastSquares:
             done = min(rate, 1.0) * decrease < _enough(current.cost, tolerance)
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # also if no direction lowers the cost, which is a minimum to rounding
-                break
-            if iteration >= _TRIAL_ITERATIONS and current.cost > useful_cost:
                 break
             last_decrease = decrease if is_whole else 0.0
         return current

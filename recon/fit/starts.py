@@ -198,22 +198,16 @@ _HEADINGS = 18
 _APART_RAD = 0.5
 """Minimum angle (rad) between the headings of two starts."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
-"""Factors on the noise during the approach, in the order in which they are used.
+"""Factors on the noise during the approach, in the order in which they are used, for one camera."""
+_FACTORS_OF_SEVERAL = (8.0, 1.0)
+"""Factors on the noise for several cameras, which determine the animal's position.
 
-Several cameras use only the first and the last factor, because they determine the animal's position.
+`python benchmarks/accuracy.py --only starts` counts the windows in which all factors would lead to a lower minimum.
 """
 _SAME_M = 0.05
 """Maximum mean distance (m) between the markers of two motions that count as the same minimum."""
 ALTERNATIVE_COST = 20.0
 """Maximum extra cost at which a second solution is reported."""
-_GIVE_UP_FACTOR = 2.0
-"""Factor on the maximum cost of a reported second solution that gives the maximum cost of a search from a start.
-
-The search is given up early if its cost is higher.
-
-`python benchmarks/accuracy.py --only starts` counts the starts that are given up, and the minima that would be lower
-without the limit.
-"""
 _INTERMEDIATE_TOLERANCE = 0.2
 """Relative decrease of the cost that ends the search with each noise factor between the first and the last."""
 _RAYS = 16
@@ -234,37 +228,23 @@ def approach(clip: ClipProblem) -> list[Estimate]:
 
     Only the two best starts (one in a fast fit) are solved down to the smallest noise and interpolated to all frames of
     the window. The search from the second one stops early if it reaches the minimum of the first, or if its cost is too
-    high to be reported. The likeliest start is solved first, and the search from any other is given up early if its
-    cost is far higher.
+    high to be reported.
     """
     fast, no_factor = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, kept_frames = clip.thinned(step), np.arange(0, len(clip), step)
 
-    def minimum(
-        states: Array, widen: float, tolerance: float, iterations: int, useful_cost: float = np.inf
-    ) -> Estimate:
+    def minimum(states: Array, widen: float, tolerance: float, iterations: int) -> Estimate:
         noise = thin.noise_px(thin.markers(states), no_factor) * widen
-        return thin.problem(noise).minimise(states, tolerance, iterations, useful_cost=useful_cost)
+        return thin.problem(noise).minimise(states, tolerance, iterations)
 
-    def minima_from(start: Estimate) -> list[Estimate]:
-        """Return the minima from a start, one for each noise factor."""
-        minima = [start]
-        for widen, tolerance in narrower:
-            minima.append(minimum(minima[-1].states, widen, tolerance, 15))
-        return minima
-
-    between = _NOISE_FACTORS[1:-1] if len(clip.views) == 1 else ()
-    narrower = [(widen, _INTERMEDIATE_TOLERANCE) for widen in between]
-    narrower.append((_NOISE_FACTORS[-1], 3e-3 if fast else 1e-3))
-    likeliest, *further = (states[kept_frames] for states in _starts(clip))
-    first = minimum(likeliest, _NOISE_FACTORS[0], 1e-2, 12)
-    minima = minima_from(first)
-    useful_cost = _GIVE_UP_FACTOR * (minima[-1].cost + ALTERNATIVE_COST)
-    starts = [first, *(minimum(states, _NOISE_FACTORS[0], 1e-2, 12, useful_cost) for states in further)]
+    widest, *between, last = _NOISE_FACTORS if len(clip.views) == 1 else _FACTORS_OF_SEVERAL
+    narrower = [*((widen, _INTERMEDIATE_TOLERANCE) for widen in between), (last, 3e-3 if fast else 1e-3)]
+    starts = [minimum(states[kept_frames], widest, 1e-2, 12) for states in _starts(clip)]
     starts.sort(key=lambda start: start.cost)
-    if starts[0] is not first:
-        minima = minima_from(starts[0])
+    minima = [starts[0]]
+    for widen, tolerance in narrower:
+        minima.append(minimum(minima[-1].states, widen, tolerance, 15))
     finished = [minima[-1]]
     for estimate in [] if fast else starts[1:2]:
         for (widen, tolerance), best in zip(narrower, minima[1:], strict=True):
