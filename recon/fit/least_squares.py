@@ -16,7 +16,7 @@ from functools import cached_property, reduce
 
 import numpy as np
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array
 from recon.fit.banded import Normal, add_normal, step
 from recon.fit.body_shape import FreeShape
 from recon.fit.marker_sums import ByShape, Sums, add_markers, add_to_columns
@@ -224,7 +224,7 @@ class LeastSquares:
                 gradient[0] += overlap[1]
                 border[0] += overlap[2]
             for term, residual in linear:
-                _add_linear_gradient(gradient, term, residual, term.frames(T), start, stop)
+                _add_linear_gradient(gradient, term, residual, start, stop)
             sums = Sums(blocks, gradient, border, corner, shared_gradient)
             while span is not None and span.first < stop:
                 cost += self._add_span(sums, span, start)
@@ -412,13 +412,13 @@ def _best_length(decrease: float, slope: float) -> float:
     return min(-0.5 * slope / bend, _MAX_EXTENSION) if bend > 0 else _MAX_EXTENSION
 
 
-def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, frames: Index, start: int, stop: int) -> None:
-    """Add a linear term's gradient for the frames from start up to stop in place, from its residual at `frames`."""
+def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, start: int, stop: int) -> None:
+    """Add a linear term's gradient for the frames from start up to stop in place, from its residual of a whole clip."""
     for offset, slot in zip(term.stencil, term.slots, strict=True):
-        first, last = np.searchsorted(frames + offset, [start, stop])
+        row = offset - term.stencil[0] - start  # of the gradient to which the first residual belongs
+        first, last = max(-row, 0), min(stop - start - row, len(residual))
         if first < last:
-            row = frames[first] + offset - start
-            gradient[row : row + last - first] += residual[first:last] @ slot
+            gradient[row + first : row + last] += residual[first:last] @ slot
 
 
 def _rows_with_shape(term: Term, span: Span, by_shape: ByShape | None) -> TermRows:

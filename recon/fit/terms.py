@@ -501,8 +501,10 @@ class Reprojection:
             projected = projected + self.px_per_m[scene.frames, None, None] * bias_m.reshape(-1, 2)
         present = view.present
         seen = present & valid
-        e = np.where(seen[..., None], projected - view.xy_px, 0.0) / scene.sigma_px[..., None]
-        q = (e[..., 0] ** 2 + e[..., 1] ** 2) / self.c**2  # numpy's sum over two values is many times slower
+        e = np.empty(projected.shape)
+        for axis in (0, 1):
+            e[..., axis] = np.where(seen, projected[..., axis] - view.xy_px[..., axis], 0.0) / scene.sigma_px
+        q = (e[..., 0] ** 2 + e[..., 1] ** 2) / self.c**2  # numpy is slow if the last axis has two values
         confidence = np.where(present, view.confidence, 0.0)
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)

@@ -187,8 +187,10 @@ class Camera(Brief):
                     by_point[:, 0, 1] += s / z * d_bb
                 for row in (0, 1):
                     by_point[:, row, 2] = -(by_point[:, row, 0] * a + by_point[:, row, 1] * b)
+        if not valid.all():
+            if jacobian:
                 by_point[~valid] = 0.0
-        pixels[~valid] = np.nan
+            pixels[~valid] = np.nan
         shape = points.shape[:-1]
         return pixels.reshape(*shape, 2), by_point.reshape(*(shape if jacobian else (0,)), 2, 3), valid.reshape(shape)
 

@@ -390,14 +390,12 @@ class Tree(Brief):
         angles = plan.sums @ state[:, 3:].T
         cosine, sine = np.cos(angles), np.sin(angles)
         (cz, cy, *cx), (sz, sy, *sx) = cosine.take(plan.angle, axis=0), sine.take(plan.angle, axis=0)
-        y, z = [-sz, cz, np.zeros(cz.shape)], [cz * sy, sz * sy, cy]
+        x, y, z = np.array((cz * cy, sz * cy, -sy, -sz, cz, np.zeros(cz.shape), cz * sy, sz * sy, cy)).reshape(
+            3, 3, len(self.segments) + 1, N
+        )
         for c, s in zip(cx, sx, strict=True):
-            y, z = (
-                [c * a + s * b for a, b in zip(y, z, strict=True)],
-                [c * b - s * a for a, b in zip(y, z, strict=True)],
-            )
-        columns = np.array((cz * cy, sz * cy, -sy, *y, *z))
-        turned = columns.reshape(3, 3, len(self.segments) + 1, N)  # Rz Ry Rx
+            y, z = c * y + s * z, c * z - s * y
+        turned = np.array((x, y, z))  # Rz Ry Rx
         if plan.placed is not None:
             turned = np.einsum("sab,cbsn->casn", plan.placed, turned)
         frames = np.empty((3, len(self.segments) + 1, 3, N))
@@ -433,9 +431,10 @@ class Tree(Brief):
         `frames` are the orientations that `_frames` returns.
         """
         plan, N = self.plan, len(state)
-        columns = frames.reshape(plan.points.shape[1], 3, N)
-        points = np.tensordot(plan.points, columns, 1) * size
+        columns = frames.reshape(plan.points.shape[1], 3 * N)
+        points = (plan.points @ columns).reshape(len(plan.points), 3, N) * size
         if len(plan.slides):
+            columns = columns.reshape(-1, 3, N)
             direction = columns.take(plan.axes[plan.slides], axis=0) * state.T[3 + plan.slides, None]
             points += np.tensordot(plan.slid, direction, 1)
         return points
