@@ -16,7 +16,8 @@ import pytest
 from command_line import copy_results
 
 from recon import FitSettings
-from recon.api import analyse
+from recon.api import analyse, clip_results
+from recon.api.samples import samples_folder
 from recon.cli.answers import Answer
 from recon.gait import clip as gait_clip
 from recon.ik import clip as ik_clip
@@ -38,7 +39,12 @@ EMPTY_FILES = {"png": b64decode(PIXEL), "svg": b'<svg xmlns="http://www.w3.org/2
 def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let `recon demo` take its fit from `whole_results` and make no page; its own test does both."""
 
-    def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
+    run_clip, samples = clip_results.run_clip, samples_folder()
+    settings_of_demo = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
+
+    def copied(settings: FitSettings, out: Path, *more: Any) -> dict[str, Any]:
+        if settings != settings_of_demo:  # other commands use the same function
+            return run_clip(settings, out, *more)
         return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
 
     monkeypatch.setattr("recon.api.clip_results.run_clip", copied)
