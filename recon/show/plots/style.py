@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -29,6 +29,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.transforms import Bbox
 
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
@@ -120,8 +121,44 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = No
         if not figure.axes:
             figure.text(0.5, 0.5, "no data", ha="center", va="center", color=GREY)
         elif layout := figure.get_layout_engine():
-            layout.execute(figure)
+            with _measured_once(figure):
+                layout.execute(figure)
         figure.set_layout_engine(None)
+
+
+@contextmanager
+def _measured_once(figure: Figure) -> Iterator[None]:
+    """Return a context manager in which a layout measures the labels of a panel again only if the ticks have changed.
+
+    The layout measures all panels twice, because the first time they do not have their final size. In figures with
+    equal scales or colour bars, other sizes change more than the ticks.
+    """
+    panels = figure.axes
+    if any(axes.get_aspect() != "auto" or axes.get_label() == "<colorbar>" for axes in panels):
+        panels = []
+
+    def with_memory(axes: Axes) -> Callable[..., Bbox | None]:
+        measure, margins = axes.get_tightbbox, dict[tuple[float, ...], Array]()
+
+        def tight_box(*arguments: Any, **options: Any) -> Bbox | None:
+            ticks = (*axes.xaxis.get_majorticklocs(), np.inf, *axes.yaxis.get_majorticklocs())
+            panel = np.array(axes.bbox.extents)
+            if ticks not in margins:
+                box = measure(*arguments, **options)
+                if box is None:
+                    return None
+                margins[ticks] = np.array(box.extents) - panel
+            return Bbox.from_extents(*(panel + margins[ticks]).tolist())
+
+        return tight_box
+
+    for axes in panels:
+        vars(axes)["get_tightbbox"] = with_memory(axes)
+    try:
+        yield
+    finally:
+        for axes in panels:
+            del vars(axes)["get_tightbbox"]
 
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
@@ -177,7 +214,8 @@ def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> b
 
 def printed_content(figure: Figure, kind: str) -> bytes:
     """Return a figure for a paper as PDF with embedded fonts, SVG with letters as outlines, or PNG of `PRINT_DPI`."""
-    return _content(figure, kind, fonts="path", **({"dpi": PRINT_DPI} if kind == "png" else {}))
+    options: dict[str, Any] = {"dpi": PRINT_DPI} if kind == "png" else {}
+    return _content(figure, kind, fonts="path", **options)
 
 
 def _content(figure: Figure, kind: str, fonts: str = "none", into: io.BytesIO | None = None, **options: Any) -> bytes:
