@@ -63,7 +63,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     calibration = solved(views, settings.model, settings.out.stem)
     checks = checked(calibration)
     refused = any(c.verdict == "refused" for c in checks)
-    from recon.show.plots.configurations import calibration as drawn  # imports matplotlib
+    from recon.show.plots.cameras import calibration as drawn  # imports matplotlib
     from recon.show.plots.style import png_of
 
     with output.staged(adds=True) as folder:

@@ -23,8 +23,8 @@ from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_
 from recon.fit.motion import MEASURED_FRACTION
 from recon.io.writing import write_rows
 from recon.show.plain import picked, to_json
-from recon.show.plots.configurations import camera_advice as advice_figure
-from recon.show.plots.configurations import in_words
+from recon.show.plots.cameras import camera_advice as advice_figure
+from recon.show.plots.cameras import in_words
 from recon.show.plots.style import save
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"

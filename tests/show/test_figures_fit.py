@@ -18,7 +18,8 @@ from recon.api.compare import QUANTITIES, _figure
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.gait.clip import ClipAnalysis
 from recon.show.plots import style
-from recon.show.plots.configurations import angle_ranges, camera_advice, views
+from recon.show.plots.cameras import camera_advice
+from recon.show.plots.configurations import angle_ranges, views
 from recon.show.plots.flexion import joint_flexion
 from recon.show.plots.over_time import footfall, speeds
 

@@ -1,6 +1,6 @@
+from .cameras import calibration as calibration
+from .cameras import camera_advice as camera_advice
 from .configurations import body_fixed as body_fixed
-from .configurations import calibration as calibration
-from .configurations import camera_advice as camera_advice
 from .configurations import composites as composites
 from .configurations import in_body as in_body
 from .configurations import observability as observability
