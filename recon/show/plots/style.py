@@ -25,6 +25,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
@@ -140,11 +141,11 @@ def _measured_once(figure: Figure) -> Iterator[None]:
     def with_memory(axes: Axes) -> Callable[..., Bbox | None]:
         measure, margins = axes.get_tightbbox, dict[tuple[float, ...], Array]()
 
-        def tight_box(*arguments: Any, **options: Any) -> Bbox | None:
+        def tight_box(renderer: RendererBase | None = None, *, for_layout_only: bool = False) -> Bbox | None:
             ticks = (*axes.xaxis.get_majorticklocs(), np.inf, *axes.yaxis.get_majorticklocs())
             panel = np.array(axes.bbox.extents)
             if ticks not in margins:
-                box = measure(*arguments, **options)
+                box = measure(renderer, for_layout_only=for_layout_only)
                 if box is None:
                     return None
                 margins[ticks] = np.array(box.extents) - panel
