@@ -162,9 +162,10 @@ def _by_gain(
 
     At most `limit` detections are returned.
     """
-    keys = np.where(chosen, -distance_px, 0.0), -np.nan_to_num(gain_m2), ~is_gross, ~chosen
-    order = np.lexsort([key.ravel() for key in keys])
-    return [_cell(index, chosen.shape) for index in order[: min(limit, int(chosen.sum()))]]
+    indices = np.flatnonzero(chosen)
+    keys = -distance_px, -np.nan_to_num(gain_m2), ~is_gross
+    order = np.lexsort([key.ravel()[indices] for key in keys])
+    return [_cell(index, chosen.shape) for index in indices[order[:limit]].tolist()]
 
 
 def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:
