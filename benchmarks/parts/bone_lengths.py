@@ -21,7 +21,7 @@ from recon import FitSettings
 from recon.animal.bones import bones_of
 from recon.api.subject_fit import clip_problem
 from recon.fit.body_shape import Shape
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.fit.shape import MODEL_SIGMA, fit_shape
 from recon.gait.stances import INTERVAL
 

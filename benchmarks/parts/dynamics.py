@@ -32,7 +32,7 @@ from recordings import recordings
 
 import recon.gait.dynamics as method
 from recon import FitSettings, Motion, fit_clip, load_skeleton, samples_folder
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, off_gravity, shape
 from recon.gait.kinematics import net_acceleration, point_kinematics

@@ -29,7 +29,7 @@ from recon.animal.body import Body
 from recon.api.clip import fit_clip
 from recon.api.settings import FitSettings
 from recon.fit.motion import Motion
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.flexion import JointFlexion, extreme, joint_flexions, stride_curves
 from recon.gait.stances import INTERVAL

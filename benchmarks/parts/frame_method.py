@@ -24,7 +24,7 @@ from markdown_table import percent, print_table
 
 from recon import FitSettings, Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.cli.analyse import ACCELERATION_KNOWN_M_S2
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import frame_times, net_acceleration
 from recon.gait.series import frame_jitter_m, series_kinematics

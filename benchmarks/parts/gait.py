@@ -33,7 +33,7 @@ import recon.gait.stances as method
 from recon import FitSettings, Pose3D, fit_clip, read_pose3d
 from recon.api.clip_results import run_clip
 from recon.fit.motion import Motion
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait, gait, match_stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion

@@ -21,7 +21,7 @@ from markdown_table import print_table
 from recon import FitSettings, fit_clip, read_pose3d
 from recon.api.compare import measurement_sigma
 from recon.api.experiment import SPEED, runs_of_clips
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import analyse
 from recon.gait.kinematics import frame_times
 from recon.gait.quantities import shared_sigma_columns

@@ -53,8 +53,8 @@ from recon.animal.skeleton_file import with_detector_offsets
 from recon.api.skeleton_draft import draft_from_points
 from recon.clip import View, still_view
 from recon.fit.clip_problem import TrajectoryOptions
-from recon.fit.posterior import radius
 from recon.fit.prediction import predicted_keypoints
+from recon.fit.regions import radius
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 from recon.fit.triangulation import Triangulation, smoothed, triangulate_views

@@ -23,7 +23,7 @@ from frame_method import WITHIN, true_peak_m_s
 from markdown_table import print_table
 
 from recon import FitSettings, fit_clip, read_pose3d
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.stances import INTERVAL
 from recon.thesis import path
 from recon.thesis.chain import UnknownsChain

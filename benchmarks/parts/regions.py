@@ -30,7 +30,7 @@ from trajectory import body_of, prior_of
 
 from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.fit.segment import SegmentFit
 from recon.fit.trajectory import solve_segments
 

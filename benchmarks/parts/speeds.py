@@ -18,7 +18,7 @@ from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
 
 from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import at_frames, frame_times, net_acceleration
 from recon.gait.series import series_kinematics

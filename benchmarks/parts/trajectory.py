@@ -42,7 +42,7 @@ from recon.clip import View, clean, still_view
 from recon.fit import constants
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.points import solve_points
-from recon.fit.posterior import radius, sigmas
+from recon.fit.regions import radius, sigmas
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 from recon.gait.clip import POSE_ERROR_TIME, POSITION_ERROR_TIME, error_time_s

@@ -294,7 +294,8 @@ class FitSettings(Settings):
 
     def trajectory_options(self) -> TrajectoryOptions:
         """Return the options that the trajectory method's solver reads."""
-        from recon.fit.clip_problem import TrajectoryOptions, focal_sigma_of
+        from recon.fit.clip_problem import TrajectoryOptions
+        from recon.fit.constants import focal_sigma_of
 
         names = [field.name for field in fields(TrajectoryOptions) if hasattr(self, field.name)]
         values: dict[str, Any] = {name: getattr(self, name) for name in names}

@@ -25,7 +25,7 @@ from recon.clip import views_of
 from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import MIN_MARKERS, solve_points
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, ShapeFit, fit_shape
 from recon.gait.stances import INTERVAL
 from recon.io.common import Pose3D

@@ -21,10 +21,9 @@ from recon.base.errors import InputError, Problem, printable
 from recon.base.numbers import NORMAL_90, counted, rough_length
 from recon.check.codes import EFFECTS, FAULTS, NOTE_IN_REASON, WITHOUT_FAULT, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
-from recon.check.rules import findings_of
-from recon.fit.clip_problem import focal_sigma_of
+from recon.fit.constants import focal_sigma_of
 from recon.fit.motion import Motion
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
 
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
@@ -224,6 +223,8 @@ def expected_position(evidence: Evidence) -> ExpectedError:
 
 def add_verdict(motion: Motion) -> Motion:
     """Return a motion with all its findings (`recon.check.rules.findings_of`) and its verdict."""
+    from recon.check.rules import findings_of  # slow to import, and only a fit needs it
+
     motion = replace(motion, findings=findings_of(motion))
     return replace(motion, verdict=_verdict(motion))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -71,18 +71,6 @@ class TrajectoryOptions:
     def keypoint_noise_m(self, body: Body) -> float:
         """Return the standard deviation of the distance of a body's keypoints from its markers, m."""
         return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
-
-
-def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
-    """Return the relative standard deviation of focal lengths under the settings of a fit; None if they are exact.
-
-    Only a single, fixed camera has a default. Several cameras, or a moving one, have exact focal lengths unless the
-    settings give `focal_sigma`.
-    """
-    sigma: float | None = settings.get("focal_sigma")
-    if sigma is not None or cameras > 1 or settings.get("camera_track") is not None:
-        return sigma
-    return constants.CALIBRATED_FOCAL if settings.get("hfov_deg") is None else constants.STATED_FOCAL
 
 
 @dataclass(frozen=True, eq=False)

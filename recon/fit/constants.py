@@ -1,8 +1,13 @@
-"""Define the numbers of the trajectory method that no user sets.
+"""Define the numbers of the trajectory method that no user sets, and defaults that depend on the settings.
 
 A value without a stated source is an assumption. Code reads the numbers by name (`constants.ROBUST_C`), so that tests
 can set other values. `python benchmarks/accuracy.py --only ablation` fits with some of them changed.
 """
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 # Detections
 
@@ -224,3 +229,15 @@ Earlier rounds only serve to estimate noise, contacts and the spread of the shap
 """
 MAX_ITERATIONS = 30
 """Maximum number of iterations of one search."""
+
+
+def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
+    """Return the relative standard deviation of focal lengths under the settings of a fit; None if they are exact.
+
+    Only a single, fixed camera has a default. Several cameras, or a moving one, have exact focal lengths unless the
+    settings give `focal_sigma`.
+    """
+    sigma: float | None = settings.get("focal_sigma")
+    if sigma is not None or cameras > 1 or settings.get("camera_track") is not None:
+        return sigma
+    return CALIBRATED_FOCAL if settings.get("hfov_deg") is None else STATED_FOCAL

@@ -10,7 +10,8 @@ over many frames are added (part 3), and a comparison with the variances without
 (part 4).
 
 During a fit, `prior_misfit_of` gives the new weight of the prior (part 5), and `pair_poses_of` the probabilities of
-hypotheses about the poses of two cameras (`recon.fit.pair_poses`). Regions and intervals use `radius` (part 6).
+hypotheses about the poses of two cameras (`recon.fit.pair_poses`). Regions and
+intervals follow from the covariances by `recon.fit.regions`.
 
 **1. Covariance of the states.** Let H be the curvature of the cost at the minimum with respect to the states x of all
 frames, B the mixed curvature between x and the shared unknowns s, Y = H^-1 B, and S the curvature with respect to s
@@ -47,17 +48,12 @@ fits, |r|^2 is n - tr(H^-1 P), the number of unknowns that the pixels determine,
 (`MISFIT_USUAL`), which is above 1 because errors persist over many frames (D. MacKay, *Bayesian interpolation*, Neural
 Computation 4, 1992). The ratio of the two is the most likely scale of the prior's variances, and its inverse is the new
 weight of the prior.
-
-**6. Regions and intervals.** The noise of a clip and the weight of its prior are themselves estimated, which turns a
-Gaussian into a Student's t. Let V be the covariance of an error e in k dimensions. Then e' V^-1 e is k (nu - 2) / nu
-times a variable that has Fisher's F distribution with k and nu degrees of freedom.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from itertools import tee
 from typing import Any, NamedTuple
 
@@ -652,40 +648,3 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
         by_prior += float(overlap[:, 0].sum() + 2 * overlap[:, 1:].sum())
     freedom = max(estimate.states[:, ANGLES].size - by_prior, 1.0)
     return PriorMisfit(prior.squares(estimate.states) / freedom / constants.MISFIT_USUAL, freedom)
-
-
-DEGREES_OF_FREEDOM = 7.0
-"""Degrees of freedom nu of Student's t, most likely for the errors of real views (`benchmarks/uncertainty.py`)."""
-_ROUNDING_M2 = 1e-12
-"""Variance (m^2) added to covariances, because the covariance of a pose relative to its own middle is singular."""
-
-
-@cache
-def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
-    """Return the radius, in standard deviations, of the region that contains the true value with probability `level`.
-
-    The radius is the square root of e' V^-1 e at the region's edge. It equals sqrt(nu - 2) tan(a), where the density of
-    the angle a is proportional to sin(a)^(k - 1) cos(a)^(nu - 1) in k dimensions. The density is integrated here,
-    because the import of scipy.special, which has the quantiles of F, would slow down short fits.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-
-    def below(angle: float) -> float:
-        at = 0.5 * angle * (1.0 + nodes)
-        return 0.5 * angle * float(weights @ (np.sin(at) ** (dimensions - 1) * np.cos(at) ** (nu - 1)))
-
-    low, high = 0.0, np.pi / 2
-    wanted = level * below(high)
-    for _ in range(53):  # until the interval is as narrow as the rounding error
-        middle = (low + high) / 2
-        low, high = (middle, high) if below(middle) < wanted else (low, middle)
-    return float(np.sqrt(nu - 2) * np.tan(low))
-
-
-def sigmas(error: Array, covariance: Array) -> Array:
-    """Return Mahalanobis lengths (...) of errors (..., k) with covariances (..., k, k); NaN if either is unknown."""
-    is_known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
-    sizes = np.full(is_known.shape, np.nan)
-    e, V = error[is_known], covariance[is_known] + _ROUNDING_M2 * np.eye(error.shape[-1])
-    sizes[is_known] = np.sqrt(np.sum(e * np.linalg.solve(V, e[..., None])[..., 0], axis=-1))
-    return sizes

@@ -29,7 +29,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.clip import View
 from recon.fit import constants
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.fit.result import Solution, TrajectorySolution
 
 LEVEL = 0.9

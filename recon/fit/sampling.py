@@ -17,7 +17,8 @@ from recon.animal.prior import load_prior
 from recon.base.arrays import Array, mean
 from recon.base.errors import InputError, Problem
 from recon.clip import Source, views_of
-from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts, focal_sigma_of
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
+from recon.fit.constants import focal_sigma_of
 from recon.fit.least_squares import Estimate
 from recon.fit.posterior import curvature, with_reestimated_noise
 from recon.fit.result import TrajectorySolution

@@ -31,7 +31,7 @@ from recon.check.verdict import usable
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.fit.result import Finding, Verdict
 from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d

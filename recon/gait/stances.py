@@ -43,7 +43,7 @@ import numpy as np
 from recon.base.arrays import Array, Bools, Brief, mean, median
 from recon.base.numbers import interval, length_text
 from recon.clip import frame_ranges
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait import kinematics
 from recon.gait.series import Errors, Series, series_kinematics
 from recon.gait.spline import MIN_POINTS

@@ -19,7 +19,7 @@ from recon.base.documents import builtin_file
 from recon.base.file_names import encodable
 from recon.base.package import version
 from recon.base.tables import guarded
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.stances import INTERVAL
 from recon.io.writing import formats_extra

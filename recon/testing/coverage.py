@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from recon.base.arrays import Array
-from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def cumulative(deviations: float) -> float:

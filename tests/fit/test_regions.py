@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.special import fdtri
 
-from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit.regions import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.testing.coverage import coverage, cumulative
 
 

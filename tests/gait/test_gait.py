@@ -12,7 +12,7 @@ import pytest
 from command_line import says
 
 from recon import FitSettings, InputError, Pose3D, analyse, fit_clip, load_skeleton, read_pose3d
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.gait import (
     PERIOD_SIGMA,
     classify,

@@ -17,7 +17,7 @@ from shortcuts import leave_out_layout
 
 from recon.animal.body import Side
 from recon.animal.skeleton_file import load_skeleton
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.gait import Stride, gait
 from recon.gait.kinematics import angle_kinematics, point_kinematics
 from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field

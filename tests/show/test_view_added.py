@@ -14,7 +14,7 @@ from rerun.chunk import RrdReader
 
 from recon import ClipAnalysis
 from recon.fit.motion import Motion
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.stances import INTERVAL
 from recon.io.video import video_writer
 from recon.show.view import write

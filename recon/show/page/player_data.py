@@ -18,7 +18,7 @@ from recon.animal.naming import both_sides
 from recon.base.arrays import Array, Integers
 from recon.check.codes import sentences
 from recon.fit.motion import MEASURED_FRACTION, Motion, Picture
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.stances import INTERVAL, interval_of
 from recon.show.page.pictures import PictureStrip

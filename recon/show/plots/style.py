@@ -34,7 +34,7 @@ from matplotlib.transforms import Bbox
 
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
-from recon.fit.posterior import radius
+from recon.fit.regions import radius
 from recon.gait.stances import INTERVAL, interval_of
 
 WIDTH_MM = 180.0

@@ -13,7 +13,7 @@ from recon.base.numbers import percent, plus_minus, quantity
 from recon.check.codes import sentence
 from recon.check.verdict import verdict_lines as lines_of_verdict
 from recon.clip import COUNTS
-from recon.fit.clip_problem import focal_sigma_of
+from recon.fit.constants import focal_sigma_of
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.show.plain import file_name, picked
