@@ -1,9 +1,10 @@
-"""Test whether starts and noise factors that the search leaves out for several cameras would have led to better minima.
+"""Test whether starts and noise factors that the search leaves out would have led to better minima.
 
     python benchmarks/parts/starts.py [FOLDER]
 
-Windows are all frames of each run, as in `cameras.py`, seen by each pair of cameras, and by all cameras of a run. Each
-window is approached (`recon.fit.starts.approach`) as in a fit, with all starts (`_MAX_EXTRA_MISFIT` infinite), and with
+Windows are all frames of each run, as in `cameras.py`, seen by each single camera, each pair of cameras, and all
+cameras of a run. Each window is approached (`recon.fit.starts.approach`) as in a fit; with a third heading
+(`_BEST_HEADINGS`); with several cameras, also with all starts, of any misfit (`_MAX_EXTRA_MISFIT` infinite), and with
 all noise factors, as for one camera. The columns are the windows in which the change has an effect; how many of these
 windows have another best minimum, or another second minimum that would be reported, with a lower cost after the change;
 and the largest decrease of the best minimum's cost. Two motions closer than `_SAME_M` are the same minimum. Costs are
@@ -31,9 +32,9 @@ from recon.fit.least_squares import Estimate
 
 
 def windows_of(run: Run) -> list[ClipProblem]:
-    """Return the fitting problems of pairs of cameras and of all cameras."""
+    """Return the fitting problems of single cameras, pairs and all cameras."""
     cameras = [*run.views]
-    sets = [*combinations(cameras, 2), tuple(cameras)]
+    sets = [*((camera,) for camera in cameras), *combinations(cameras, 2), tuple(cameras)]
     body, prior = body_of(run.subject), prior_of(PRIOR)
     return [
         ClipProblem.from_views([run.views[c] for c in some], body, prior, run.fps, TrajectoryOptions()) for some in sets
@@ -66,12 +67,17 @@ def decrease(clip: ClipProblem, given: Estimate | None, other: Estimate | None) 
 
 def main() -> None:
     parser = parser_of(__doc__, kind="cheetah-runs")
-    clips = [clip for folder in runs_or_exit(parser, parser.parse_args().folder) for clip in windows_of(run_of(folder))]
+    windows = [
+        clip for folder in runs_or_exit(parser, parser.parse_args().folder) for clip in windows_of(run_of(folder))
+    ]
     rows = []
-    for label, constant, value in (
-        ("starts", "_MAX_EXTRA_MISFIT", np.inf),
-        ("noise factors", "_FACTORS_OF_SEVERAL", starts._NOISE_FACTORS),
+    for label, constant, value, has_several in (
+        ("one camera, a third heading", "_BEST_HEADINGS", 3, False),
+        ("several cameras, a third heading", "_BEST_HEADINGS", 3, True),
+        ("several cameras, starts with a larger misfit", "_MAX_EXTRA_MISFIT", np.inf, True),
+        ("several cameras, noise factors", "_FACTORS_OF_SEVERAL", starts._NOISE_FACTORS, True),
     ):
+        clips = [clip for clip in windows if (len(clip.views) > 1) == has_several]
         lower, count = [], 0
         for clip in clips:
             given, other = starts.approach(clip), approached(clip, constant, value)

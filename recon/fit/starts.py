@@ -195,6 +195,11 @@ APPROACH_HZ = 30.0
 """Frame rate of the approach (Hz) to which clips with a higher rate are thinned."""
 _HEADINGS = 18
 """Number of headings that are tried, of which a fast fit tries half."""
+_BEST_HEADINGS = 2
+"""Number of headings, those with the smallest misfits, from which the search starts.
+
+`python benchmarks/accuracy.py --only starts` counts the windows in which a third heading would lead to a lower minimum.
+"""
 _APART_RAD = 0.5
 """Minimum angle (rad) between the headings of two starts."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
@@ -289,7 +294,7 @@ def _starts(clip: ClipProblem) -> list[Array]:
     minima = [
         i for i in range(len(misfit)) if misfit[i] <= misfit[i - 1] and misfit[i] <= misfit[(i + 1) % len(misfit)]
     ]
-    order = sorted(minima, key=lambda i: misfit[i])[: 2 if clip.options.fast else 3]
+    order = sorted(minima, key=lambda i: misfit[i])[:_BEST_HEADINGS]
     if len(clip.views) == 1:
         order.append(-best % len(misfit))
     else:
