@@ -176,6 +176,7 @@ class Curvature:
                 -derivatives[..., 0] - by_others @ self.others_by_size if n_size else np.zeros(by_others.shape[:2])
             )
             yield window, by_others, by_size
+            del window, derivatives, by_others  # frees memory before the next window is computed
 
 
 class _SharedCurvature(NamedTuple):
@@ -432,7 +433,9 @@ def posterior(
             angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
             state_by_size[rows] = window_by_size
             by_size_alone[rows] = window_by_size + by_others @ at_minimum.others_by_size
-            yield window.piece.without_shared()
+            piece = window.piece.without_shared()
+            del window, by_others  # frees memory before the next window is computed
+            yield piece
 
     data_share, angle_variance[1] = _without_pixels(problem, body, estimate, filled())
     for covariance in (absolute, relative):  # added in place, because the covariances of a long clip are large
