@@ -20,6 +20,7 @@ import pstats
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from markdown_table import print_table
@@ -89,7 +90,8 @@ def kernels(frames: int, cameras: int) -> list[Kernel]:
     start = clip.problem(noise_px)
     last = clip.problem(noise_px, 1.0, contacts(clip, markers, 1.0)[2], markers)
     normal = last.normal(states)
-    factor = banded.factored(normal.blocks, 1e-3)
+    whole = banded.factored(normal.blocks, 1e-3)
+    factor = partial(whole.first_frames, frames)  # a new object, because a factor keeps its inverse diagonal blocks
     P, width, number = len(normal.corner), 3 * D, 8
     # Multiply the derivatives of pixels and of markers, then accumulate the normal equations of the states.
     by_state = 2 * 2 * cameras * J * D * 3 + 2 * 3 * J * D * (D + P)
@@ -105,8 +107,10 @@ def kernels(frames: int, cameras: int) -> list[Kernel]:
         Kernel("normal equations, rounds", lambda: last.normal(states), by_state, normal_bytes),
         Kernel("band from blocks", lambda: banded.lower_band(normal.blocks), 0.0, 2 * number * D * width),
         Kernel("elimination", lambda: banded.factored(normal.blocks, 1e-3), D * width**2, 2 * number * D * width),
-        Kernel(f"{P + 1} right sides", lambda: factor.whiten(right), 2 * D * width * (P + 1), 2 * number * D * (P + 1)),
-        Kernel("covariances", factor.marginal_blocks, 4 * D * width**2, 2 * number * D * width),
+        Kernel(
+            f"{P + 1} right sides", lambda: factor().whiten(right), 2 * D * width * (P + 1), 2 * number * D * (P + 1)
+        ),
+        Kernel("covariances", lambda: factor().marginal_blocks(), 4 * D * width**2, 2 * number * D * width),
     ]
 
 
