@@ -332,7 +332,7 @@ def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
     min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS
     for view, count in zip(clip.views, counts, strict=True):
         usable = np.flatnonzero(count >= min_rays)
-        step = max(1, min(3 * len(clip.views), len(usable) // 6), len(usable) // max(_RAYS // len(clip.views), 4))
+        step = max(1, min(3 * len(clip.views), len(usable) // 6), len(usable) // max(_RAYS // len(clip.views), 3))
         chosen = usable[::step]
         rays.append(view.part(chosen).rays())
         centres.append(view.centre_m[chosen] - clip.origin_m)
