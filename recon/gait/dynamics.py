@@ -323,8 +323,9 @@ def _turning_sigma(
 
 def shape(share: Array) -> Array:
     """Return a foot's vertical force, as a fraction of its peak, at fractions `share` of a stance; 0 outside it."""
-    is_inside = (share > 0) & (share < 1)
-    return np.where(is_inside, np.sin(np.pi * np.clip(share, 0, 1) ** FORCE_SKEW), 0.0)
+    is_inside, force = (share > 0) & (share < 1), np.zeros(share.shape)
+    force[is_inside] = np.sin(np.pi * share[is_inside] ** FORCE_SKEW)
+    return force
 
 
 _GRID = (np.arange(1000) + 0.5) / 1000
