@@ -30,7 +30,7 @@ from recon.fit.belt import belt_path_m, relative_to_belt
 from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait import kinematics, phase
-from recon.gait.dynamics import Dynamics, dynamics
+from recon.gait.dynamics import Dynamics, dynamics, over_stride
 from recon.gait.end_effector import EndEffector, end_effector
 from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import Gait, Stride, gait
@@ -334,6 +334,16 @@ class ClipAnalysis(Brief):
         Return None if the segments' masses are unknown or only one side of the animal was fitted.
         """
         return dynamics(self.motion, self.gait, self.errors)
+
+    @cached_property
+    def over_strides(self) -> list[dict[str, tuple[float, float, float]]]:
+        """Return the work, power, acceleration and exchange of energy (`over_stride`) of each complete stride.
+
+        The list is empty without `dynamics`.
+        """
+        if self.gait is None or self.dynamics is None:
+            return []
+        return [over_stride(self.dynamics, stride.start_s, stride.end_s) for stride in self.gait.strides]
 
     @property
     def net_acceleration_m_s2(self) -> tuple[float, float]:
