@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
-from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride, validity_text
+from recon.gait.dynamics import OVER_STRIDE, findings_of_dynamics, validity_text
 from recon.gait.gait import STRIDE_WORDS, WHOLE_CLIP, Gait, Stride, rejection_text
 from recon.gait.quantities import GaitQuantity
 from recon.gait.stances import interval_of
@@ -181,17 +181,20 @@ def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
         "mean_peak_interval_bw": None if dynamics.mean_peak_bw is None else dynamics.mean_peak_bw[1:],
         "flights": [picked(flight, "start_s", "end_s", "up_m_s2", "sigma_m_s2") for flight in dynamics.flight_parts],
         **_with_interval("net_acceleration", "_m_s2", interval_of(*dynamics.net_acceleration_m_s2)),
-        "strides": [_stride_energy(dynamics, stride) for stride in analysis.gait.strides],
+        "strides": [
+            _stride_energy(stride, changes)
+            for stride, changes in zip(analysis.gait.strides, analysis.over_strides, strict=True)
+        ],
         "findings": [finding.code for finding in findings_of_dynamics(analysis.motion, dynamics)],
         "energy_mean_j_kg": {name: value for name, (value, *_) in means.items()},
         "energy_mean_interval_j_kg": {name: interval for name, (_, *interval) in means.items()},
     }
 
 
-def _stride_energy(dynamics: Dynamics, stride: Stride) -> dict[str, Any]:
+def _stride_energy(stride: Stride, changes: Mapping[str, tuple[float, float, float]]) -> dict[str, Any]:
     """Return the quantities of `OVER_STRIDE` for one stride, with their intervals and the stride's foot and times."""
     row = picked(stride, "foot", "start_s", "end_s")
-    for name, value_and_interval in over_stride(dynamics, stride.start_s, stride.end_s).items():
+    for name, value_and_interval in changes.items():
         row |= _with_interval(name, OVER_STRIDE[name], value_and_interval)
     return row
 

@@ -19,7 +19,7 @@ from recon.check.to_correct import to_correct as worth_correcting
 from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.dynamics import G_M_S2, OVER_STRIDE, StanceForce, over_stride
+from recon.gait.dynamics import G_M_S2, OVER_STRIDE, StanceForce
 from recon.gait.flexion import PERCENT, extreme
 from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import FieldMeans, means_of_field
@@ -403,14 +403,11 @@ def strides(analysis: ClipAnalysis) -> Table:
     For a skeleton with masses, the table also has the changes of energy, with 90 % intervals.
     """
     names = ["foot", "at", "start_s", "end_s", "duration_s", "length_m", "frequency_hz", "duty_factor"]
-    all_strides, dynamics = analysis.gait.strides if analysis.gait else (), analysis.dynamics
-    rows = map(attrgetter(*names), all_strides)
-    if dynamics is None:
+    rows = map(attrgetter(*names), analysis.gait.strides if analysis.gait else ())
+    if analysis.dynamics is None:
         return names, rows
     head = [f"{name}{end}{unit}" for name, unit in OVER_STRIDE.items() for end in ("", "_low", "_high")]
-    extra_columns = [
-        np.ravel([*over_stride(dynamics, stride.start_s, stride.end_s).values()]) for stride in all_strides
-    ]
+    extra_columns = [np.ravel([*changes.values()]) for changes in analysis.over_strides]
     return [*names, *head], [(*row, *extra) for row, extra in zip(rows, extra_columns, strict=True)]
 
 
