@@ -7,9 +7,8 @@ F distribution with k and nu degrees of freedom.
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
+from scipy.special import fdtri
 
 from recon.base.arrays import Array
 
@@ -19,26 +18,12 @@ _ROUNDING_M2 = 1e-12
 """Variance (m^2) added to covariances, because the covariance of a pose relative to its own middle is singular."""
 
 
-@cache
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
     """Return the radius, in standard deviations, of the region that contains the true value with probability `level`.
 
-    The radius is the square root of e' V^-1 e at the region's edge. It equals sqrt(nu - 2) tan(a), where the density of
-    the angle a is proportional to sin(a)^(k - 1) cos(a)^(nu - 1) in k dimensions. The density is integrated here,
-    because the import of scipy.special, which has the quantiles of F, would slow down short fits.
+    The radius is the square root of e' V^-1 e at the region's edge.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-
-    def below(angle: float) -> float:
-        at = 0.5 * angle * (1.0 + nodes)
-        return 0.5 * angle * float(weights @ (np.sin(at) ** (dimensions - 1) * np.cos(at) ** (nu - 1)))
-
-    low, high = 0.0, np.pi / 2
-    wanted = level * below(high)
-    for _ in range(53):  # until the interval is as narrow as the rounding error
-        middle = (low + high) / 2
-        low, high = (middle, high) if below(middle) < wanted else (low, middle)
-    return float(np.sqrt(nu - 2) * np.tan(low))
+    return float(np.sqrt(dimensions * fdtri(dimensions, nu, level) * (nu - 2) / nu))
 
 
 def sigmas(error: Array, covariance: Array) -> Array:

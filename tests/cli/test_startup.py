@@ -86,7 +86,6 @@ def test_a_fit_imports_only_the_libraries_that_it_uses(tmp_path):
         "scipy.interpolate",
         "scipy.optimize",
         "scipy.spatial",
-        "scipy.special",
         "recon.api.batch",
         "scipy.ndimage",
         "urllib.request",
