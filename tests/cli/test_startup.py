@@ -94,8 +94,6 @@ def test_a_fit_imports_only_the_libraries_that_it_uses(tmp_path):
         "torch",
         "matplotlib",
         "tables",
-        "pandas",
-        "pyarrow.compute",
     }
     assert modules & unused == set()
 

@@ -11,8 +11,6 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
 import pytest
 from command_line import refusal
 from rerun.chunk import RrdReader
@@ -564,15 +562,6 @@ def test_the_web_viewer_is_served_on_this_machine_only(tmp_path: Path, monkeypat
     assert rest[:3] == ["--serve-web", "--bind", "127.0.0.1"]
     assert str(tmp_path / "motion.rrd") not in rest  # rerun's server would let every user of this machine read it
     assert "http" not in policy
-
-
-def test_a_playback_needs_no_pandas_and_leaves_pyarrow_as_it_was(small_motion, tmp_path, monkeypatch):
-    with monkeypatch.context() as without:
-        without.delitem(sys.modules, "pandas")
-        pa.lib._pandas_api.__init__()
-        write(small_motion, tmp_path / "motion.rrd")
-        assert "pandas" not in sys.modules
-    assert pa.array(pd.Series([1.0, np.nan])).null_count == 1
 
 
 def test_a_playback_without_enough_memory_is_an_error(small_motion, tmp_path, monkeypatch):

@@ -53,7 +53,7 @@ from recon.gait.kinematics import speed_at_frames
 from recon.gait.series import frame_jitter_m
 from recon.gait.stances import interval_of
 from recon.show.view import scene as scenes
-from recon.show.view.scene import Log, Scene, TimePlot, recording
+from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
 
 OVERVIEW_ASPECT = 3.0
 """Width of the overview of the world relative to its height."""
@@ -67,7 +67,6 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Environment variables of which at least one is set if a Linux machine has a display."""
 
 
-@scenes.without_pandas()
 def write(
     motion: Motion,
     path: Path,
@@ -102,7 +101,8 @@ def write(
     with recording(path, blueprint(motion, scene, plots, [*rows])) as stream:
         stream.send_recording_name(encodable(Path(motion.keypoints.source or motion.title).stem))
         log = Log(stream, motion.frames, motion.time_s)
-        log.fix("/", scenes.limb_classes(motion))
+        labels = zip(motion.limbs, limb_colours(motion), strict=True)
+        log.fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))
         scenes.write_world(motion, scene, log)
         scenes.write_pictures(motion, log)
         scenes.write_uncertainty(motion, log, standing)

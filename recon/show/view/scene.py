@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -202,22 +200,6 @@ def limb_colours(motion: Motion) -> list[Colour]:
     if motion.side is not None:
         return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
     return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
-
-
-def limb_classes(motion: Motion) -> rr.AnnotationContext:
-    """Return the name and the colour of each limb, in rerun's final layout.
-
-    rerun's own conversion imports pyarrow's functions for calculations, which is slow.
-    """
-    import pyarrow as pa  # installed with rerun
-
-    classes = []
-    for i, (limb, colour) in enumerate(zip(motion.limbs, limb_colours(motion), strict=True)):
-        info = {"id": i, "label": limb, "color": int.from_bytes((*colour, 255))}
-        description = {"info": info, "keypoint_annotations": [], "keypoint_connections": []}
-        classes.append({"class_id": i, "class_description": description})
-    kind = rr.components.AnnotationContextBatch(None).as_arrow_array().type
-    return rr.AnnotationContext(pa.array([classes], kind))
 
 
 def joint_limbs(motion: Motion) -> Integers:
@@ -516,30 +498,6 @@ _AT_ONCE = 1 << 20
 def require_whole() -> None:
     """Make rerun raise its warnings, because without enough memory it would leave out parts of a playback."""
     rr.set_strict_mode(True)
-
-
-@contextmanager
-def without_pandas() -> Iterator[None]:
-    """Keep pyarrow from importing pandas within the block.
-
-    At the first list that rerun converts, pyarrow would import pandas only to see that the list is no table of pandas,
-    which takes longer than writing the playback of a short clip.
-    """
-    if "pandas" in sys.modules:
-        yield
-        return
-    from pyarrow.lib import _pandas_api
-
-    sys.modules["pandas"] = ModuleType("pandas")
-    try:
-        with suppress(AttributeError):  # the empty module has no version
-            _ = _pandas_api.have_pandas  # pyarrow tries to import pandas only once
-    finally:
-        del sys.modules["pandas"]
-    try:
-        yield
-    finally:
-        _pandas_api.__init__()  # so that later code of this process may convert tables of pandas
 
 
 @contextmanager
