@@ -35,6 +35,7 @@ solved together with the next piece only, because the influence of later frames 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -245,6 +246,28 @@ def eliminated(
         last, start, piece = window, start + n, next_piece
     if last is not None:
         yield last
+
+
+def doubled(pieces: Iterable[Normal]) -> tuple[Iterator[Normal], Iterator[Normal]]:
+    """Return two iterators over the same pieces, each of which is computed only once.
+
+    A piece is freed when both iterators have passed it. `itertools.tee` would free its items only after each 57th one,
+    and pieces are large.
+    """
+    source, queues = iter(pieces), (deque[Normal](), deque[Normal]())
+
+    def iterator(waiting: deque[Normal]) -> Iterator[Normal]:
+        while True:
+            if not waiting:
+                piece = next(source, None)
+                if piece is None:
+                    return
+                for queue in queues:
+                    queue.append(piece)
+                del piece  # the queues alone keep it
+            yield waiting.popleft()
+
+    return iterator(queues[0]), iterator(queues[1])
 
 
 def _carried(factor: _Factor, white: Array) -> tuple[Array, Array]:

@@ -34,7 +34,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import tee
 
 import numpy as np
 
@@ -42,7 +41,7 @@ from recon.animal.prior import MotionPrior
 from recon.base.arrays import Array
 from recon.base.threads import one_thread
 from recon.clip import View
-from recon.fit.banded import Normal, eliminated
+from recon.fit.banded import Normal, doubled, eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.result import TrajectorySolution
@@ -180,7 +179,7 @@ def _covariances_and_derivatives(
 
     `step` is the step e of the derivative, and `curvature` returns the blocks (N, D, D) of G.
     """
-    pieces, same_pieces = tee(replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)())
+    pieces, same_pieces = doubled(replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)())
     windows = (
         eliminated(pieces, bounded=True, ahead=problem.ahead),
         eliminated(_stiffened(same_pieces, step, curvature), bounded=True, ahead=problem.ahead),

@@ -54,7 +54,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import tee
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,7 +64,7 @@ from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
 from recon.clip import densest_window
 from recon.fit import constants
-from recon.fit.banded import Normal, Window, eliminated
+from recon.fit.banded import Normal, Window, doubled, eliminated
 from recon.fit.body_shape import Shape
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.pair_poses import WeighedPair, pair_poses, with_uncertain_poses
@@ -509,7 +508,7 @@ def _without_pixels(
     states, (T, D) = estimate.states, estimate.states.shape
     terms = [term for term in problem.terms if term.name != "reprojection"]
     prior = replace(problem, terms=terms, shared=(), nuisance=())
-    without_pixels, same_pieces = tee(prior.normals(states)())
+    without_pixels, same_pieces = doubled(prior.normals(states)())
     nearly_free = np.zeros(D)
     nearly_free[: ANGLES.start] = _NEARLY_FREE
     ahead = problem.piece // 4  # frames at fixed positions hardly inform each other

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tracemalloc
+import weakref
 
 import numpy as np
 import pytest
 from scipy.linalg import solveh_banded
 from term_cases import to_dense
 
-from recon.fit.banded import Normal, add_normal, eliminated, factored, lower_band, step
+from recon.fit.banded import Normal, add_normal, doubled, eliminated, factored, lower_band, step
 
 SIZES = [
     # frames T, unknowns D of a frame, coupled frames W
@@ -278,6 +279,28 @@ def test_frames_beyond_those_ahead_hardly_matter(rng, P, ahead):
     first, second, _ = eliminated(pieces, ahead=ahead)
     assert (first.rows_with_following, second.rows) == (slice(0, 20 + (ahead or 20)), slice(20, 40))
     assert_close(first.marginal_blocks(), blocks_of(np.linalg.inv(dense), T, D, W)[:20], rtol=1e-3)
+
+
+def test_doubled_pieces_are_computed_once_and_freed_when_both_iterators_have_passed_them(rng):
+    alive: list[weakref.ref[Normal]] = []
+
+    def made(count):
+        for _ in range(count):
+            piece = Normal(*rng.normal(size=(5, 1)))
+            alive.append(weakref.ref(piece))
+            yield piece
+            del piece
+
+    first, second = doubled(made(9))
+    ahead = next(first), next(first)
+    assert next(second) is ahead[0]
+    del ahead
+    for _ in range(7):
+        assert next(first) is not next(second)
+        assert sum(piece() is not None for piece in alive) <= 2
+    assert next(second) is not None
+    assert [*first] == [*second] == []
+    assert len(alive) == 9
 
 
 def test_whitened_values_of_other_frames_are_refused(rng):
