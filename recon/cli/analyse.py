@@ -13,7 +13,6 @@ from recon.api.analysis_settings import ANALYSIS_FOLDER, AnalyseSettings, Compar
 from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
-from recon.cli.drawing import import_matplotlib
 
 if TYPE_CHECKING:
     from recon.gait.clip import ClipAnalysis
@@ -31,8 +30,6 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     """
     from recon.api.analyse import run_analysis
 
-    if settings.figures:
-        import_matplotlib()
     written, out = run_analysis(settings, progress), settings.out_folder
     lines = [*_lines(written.analysis, written.summary), f"{len(written.files)} files are in {out}."]
     if out == settings.folder / ANALYSIS_FOLDER:

@@ -15,7 +15,6 @@ from recon.base.outputs import Output, ReadResults, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Number, Option, Settings, input_paths
 from recon.cli.answers import Answer, table_of, verdict_texts
-from recon.cli.drawing import import_matplotlib
 from recon.fit.motion import Motion
 
 KINDS = {".pdf": "pdf", ".svg": "svg", ".png": "png"}
@@ -69,7 +68,6 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
     output = Output(out.parent, "figure", settings.overwrite, input_paths(settings), made_from, exact=out.name)
     output.require((out.name, caption_path.name))
     progress("drawing", 0.4)
-    import_matplotlib()
     printed = draw_for_print(analysis, settings.names, settings.width, str(settings.folder.absolute()))
     from recon.show.plots.style import printed_content, printing
 

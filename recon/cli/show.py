@@ -28,10 +28,8 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
 
     Exit code 1: a page of a batch could not be made; the others were written.
     """
-    from recon.cli.drawing import import_matplotlib
     from recon.cli.look import make_page
 
-    import_matplotlib()
     return make_page(settings, progress)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -25,12 +25,10 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
-from matplotlib.transforms import Bbox
 
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
@@ -122,44 +120,8 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = No
         if not figure.axes:
             figure.text(0.5, 0.5, "no data", ha="center", va="center", color=GREY)
         elif layout := figure.get_layout_engine():
-            with _measured_once(figure):
-                layout.execute(figure)
+            layout.execute(figure)
         figure.set_layout_engine(None)
-
-
-@contextmanager
-def _measured_once(figure: Figure) -> Iterator[None]:
-    """Return a context manager in which a layout measures the labels of a panel again only if the ticks have changed.
-
-    The layout measures all panels twice, because the first time they do not have their final size. In figures with
-    equal scales or colour bars, other sizes change more than the ticks.
-    """
-    panels = figure.axes
-    if any(axes.get_aspect() != "auto" or axes.get_label() == "<colorbar>" for axes in panels):
-        panels = []
-
-    def with_memory(axes: Axes) -> Callable[..., Bbox | None]:
-        measure, margins = axes.get_tightbbox, dict[tuple[float, ...], Array]()
-
-        def tight_box(renderer: RendererBase | None = None, *, for_layout_only: bool = False) -> Bbox | None:
-            ticks = (*axes.xaxis.get_majorticklocs(), np.inf, *axes.yaxis.get_majorticklocs())
-            panel = np.array(axes.bbox.extents)
-            if ticks not in margins:
-                box = measure(renderer, for_layout_only=for_layout_only)
-                if box is None:
-                    return None
-                margins[ticks] = np.array(box.extents) - panel
-            return Bbox.from_extents(*(panel + margins[ticks]).tolist())
-
-        return tight_box
-
-    for axes in panels:
-        vars(axes)["get_tightbbox"] = with_memory(axes)
-    try:
-        yield
-    finally:
-        for axes in panels:
-            del vars(axes)["get_tightbbox"]
 
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
