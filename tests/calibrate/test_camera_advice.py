@@ -146,8 +146,8 @@ def test_command(directions, tmp_path, monkeypatch):
     """The command advises among all directions, or compares the best direction with the direction ahead."""
     out = tmp_path / "advice"
     if directions == 2:
-        for module in ("recon.api.camera_advice", "recon.calibrate.camera_advice", "recon.show.plots.configurations"):
-            monkeypatch.setattr(f"{module}.AZIMUTHS_RAD", np.radians([0.0, 120.0]), raising=False)
+        for module in ("recon.api.camera_advice", "recon.calibrate.camera_advice", "recon.show.plots.cameras"):
+            monkeypatch.setattr(f"{module}.AZIMUTHS_RAD", np.radians([0.0, 120.0]))
     done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
     assert done.code == 0
     assert says(done.out, f"Put the camera {direction_text(np.radians(120), 0.5)}", "1.8 m above")
