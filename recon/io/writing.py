@@ -134,7 +134,7 @@ def write_table(
     write_rows(path, header, (), guard)
     size = np.abs(values)
     # JSON is made three times as fast as Python's strings, and differs from them only in very small and large numbers.
-    differs = (((size > 0) & (size < 1e-4)) | (size >= 1e16)).any(axis=1)
+    differs = np.asarray((((size > 0) & (size < 1e-4)) | (size >= 1e16)).any(axis=1))
     as_json = TypeAdapter(Any).dump_json
     with path.open("a", encoding="utf-8", newline="") as file:
         for frame, row, as_python in zip(frames.tolist(), values, differs.tolist(), strict=True):
