@@ -19,7 +19,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.fit.banded import Normal, add_normal, step
 from recon.fit.body_shape import FreeShape
-from recon.fit.marker_sums import ByShape, Sums, add_markers, add_to_columns
+from recon.fit.marker_sums import ByShape, add_markers, add_to_columns
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
     FOOT_TERMS,
@@ -225,7 +225,7 @@ class LeastSquares:
                 border[0] += overlap[2]
             for term, residual in linear:
                 _add_linear_gradient(gradient, term, residual, start, stop)
-            sums = Sums(blocks, gradient, border, corner, shared_gradient)
+            sums = Normal(blocks, gradient, border, corner, shared_gradient)
             while span is not None and span.first < stop:
                 cost += self._add_span(sums, span, start)
                 span = next(spans, None)
@@ -233,8 +233,8 @@ class LeastSquares:
             yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient, cost)
             start, cost = stop, 0.0
 
-    def _add_span(self, sums: Sums, span: Span, start: int) -> float:
-        """Add the normal equations of a span's non-linear terms to `sums`, and return the terms' cost.
+    def _add_span(self, sums: Normal, span: Span, start: int) -> float:
+        """Add the normal equations of a span's non-linear terms to `sums` in place, and return the terms' cost.
 
         `start` is the first frame of `sums`.
         """

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from recon.base.arrays import Array, Index, Integers
+from recon.fit.banded import Normal
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, SIZE, FootRows, PointRows, Span, keypoint_bias
 
 ByShape = tuple[Array, Array]
@@ -22,19 +23,8 @@ ByShape = tuple[Array, Array]
 """
 
 
-@dataclass(frozen=True)
-class Sums:
-    """Normal equations of a piece, as in `Normal`, to which the terms add their contributions in place."""
-
-    blocks: Array
-    gradient: Array
-    border: Array
-    corner: Array
-    shared_gradient: Array
-
-
 def add_markers(
-    sums: Sums,
+    sums: Normal,
     columns: Mapping[str, slice],
     every_camera: Sequence[PointRows],
     every_foot: Sequence[FootRows],
