@@ -422,6 +422,16 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple((int(run[0]), int(run[-1]) + 1) for run in runs)
 
 
+def longest_run(rows: Bools) -> tuple[int, int]:
+    """Return the longest run of true elements, as the index of its first element and the index after its last."""
+    return max(frame_ranges(np.flatnonzero(rows)), key=lambda run: run[1] - run[0])
+
+
+def run_around(rows: Bools, row: int) -> tuple[int, int]:
+    """Return the run of true elements around an element, as in `longest_run`; the element alone if it is false."""
+    return next((run for run in frame_ranges(np.flatnonzero(rows)) if run[0] <= row < run[1]), (row, row + 1))
+
+
 def densest_window(counts: Integers, n: int) -> slice:
     """Return the window of at most `n` frames, as a slice, with the largest sum of `counts` (T,)."""
     n, total = min(n, len(counts)), np.concatenate([[0], np.cumsum(counts)])

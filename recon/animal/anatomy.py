@@ -7,7 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Literal
 
+import numpy as np
+
 from recon.animal.body import SIDE_WORD, Side, other_side, side_of
+from recon.base.arrays import Array
 from recon.base.errors import Problem
 
 FLEXES_CAUDALLY: Mapping[str, int] = {
@@ -38,6 +41,16 @@ COMMON_NAMES: Mapping[str, str] = {"ankle": "hock", "knee": "stifle", "tarsus": 
 
 They are only suggested, because a name may mean two joints: the knee of a horse's fore limb is the carpus.
 """
+
+
+def sagittal_angle(proximal: Array, distal: Array, left: Array) -> Array:
+    """Return the angle from the proximal to the distal link in the sagittal plane, shape (T,), rad.
+
+    The links and the unit vector to the left, about which the angle is positive, have the shape (T, 3).
+    """
+    sine = np.sum(np.cross(proximal, distal) * left, axis=1)
+    across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
+    return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)
 
 
 def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str, tuple[str, str, str]]:

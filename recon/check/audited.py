@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.animal.body import Body
+from recon.animal.body import Body, opposites, side_of
 from recon.animal.naming import marker_names
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array, Bools, Brief, Index, Integers
@@ -105,6 +105,13 @@ class AuditedPoints(Brief):
         These are the points of the lower limbs, and points whose names belong to no known part of the animal.
         """
         return np.array([bool(_STANDING.search(name)) or not _WORD.search(name) for name in self.names])
+
+    @cached_property
+    def pairs(self) -> tuple[Index, Index]:
+        """Return the indices of the left points that have a right counterpart, and of their counterparts."""
+        partners = opposites(self.names)
+        left = [k for k, name in enumerate(self.names) if partners[k] != k and side_of(name) == "left"]
+        return np.array(left, dtype=np.intp), partners[left]
 
     def named(self, indices: Sequence[int] | Index) -> tuple[str, ...]:
         """Return the names of the points with the given indices."""

@@ -39,7 +39,7 @@ from recon.check.one_step import Step, one_steps
 from recon.check.other_camera import other_camera_finding
 from recon.check.stretch import STRETCH, stretch_finding
 from recon.check.swaps import swap_finding, swaps
-from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
+from recon.clip import Keypoints, Source, View, frame_ranges, leave_out, longest_run
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
@@ -372,19 +372,28 @@ def repeats_of(values: Array) -> Bools:
     return np.append(False, (count >= MIN_COUNT) & (2 * count > in_both.sum(axis=1)))
 
 
+def repetition(repeats: Bools, fps: float | None) -> dict[str, Any] | None:
+    """Return the numbers of a finding if every frame is repeated, as in a video with a doubled frame rate.
+
+    Return None if only some frames are repeated. `repeats` is as in `repeats_of`.
+    """
+    new_frames = np.flatnonzero(~repeats)
+    times = int(np.median(np.diff(new_frames))) if len(new_frames) > 2 else 1
+    if times > 1 and repeats.mean() < 1 - 0.5 / times:
+        return {"times": times, "given_hz": fps or np.nan, "other_hz": (fps or np.nan) / times}
+    return None
+
+
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     """Yield a finding if every frame is repeated, as in a video with a doubled frame rate, or if some frames are."""
     repeats = repeats_of(keypoints.xy_px)
     if repeats.sum() <= MAX_REPEATED_FRACTION * len(repeats):
         return
-    new_frames = np.flatnonzero(~repeats)
-    times = int(np.median(np.diff(new_frames))) if len(new_frames) > 2 else 1
-    if times > 1 and repeats.mean() < 1 - 0.5 / times:
-        numbers = {"times": times, "given_hz": keypoints.fps or np.nan, "other_hz": (keypoints.fps or np.nan) / times}
-        yield finding("detections_repeated", camera=camera, **numbers)
+    of_all = repetition(repeats, keypoints.fps)
+    if of_all is not None:
+        yield finding("detections_repeated", camera=camera, **of_all)
         return
-    runs = frame_ranges(np.flatnonzero(repeats))
-    first, stop = max(runs, key=lambda run: run[1] - run[0])
+    first, stop = longest_run(repeats)
     frames = (int(keypoints.frames[first - 1]), int(keypoints.frames[stop - 1]) + 1)
     yield finding("detections_frozen", frames, camera, count=int(repeats.sum()), frames_total=len(repeats))
 

@@ -11,13 +11,13 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from recon.animal.anatomy import FLEXES_CAUDALLY, joint_and_side
-from recon.animal.body import opposites, side_of
+from recon.animal.anatomy import FLEXES_CAUDALLY, joint_and_side, sagittal_angle
+from recon.animal.body import opposites
 from recon.base.arrays import Array, running_median
 from recon.check.audited import AuditedPoints, Measure
 from recon.check.inputs import MIN_COUNT, SLIDE_LEGS_S, SLIDE_RATIO, STANDING_QUANTILE
-from recon.check.track_checks import mean_of_known
-from recon.clip import frame_ranges
+from recon.check.track_checks import feet_to_trunk, mean_of_known
+from recon.clip import frame_ranges, run_around
 
 MIN_LENGTH_CHANGE = 0.1
 """Smallest change of a bone's length that counts as a fault, as a fraction of the length."""
@@ -113,7 +113,7 @@ def _lengths(points: AuditedPoints) -> Iterator[Measure]:
     peaks = np.sort(score, axis=0)[-2] if len(score) > 1 else score[-1]
     e = int(np.argmax(peaks))
     at = int(np.argmax(score[:, e]))
-    run = next((run for run in frame_ranges(np.flatnonzero(score[:, e] > 1)) if run[0] <= at < run[1]), (at, at + 1))
+    run = run_around(score[:, e] > 1, at)
     numbers = {"points": points.named(pairs[e]), "share": float(deviation[at, e]), "usual": float(usual[e])}
     yield Measure("lengths_change", float(peaks[e]), run, numbers)
 
@@ -160,12 +160,8 @@ def _unit_for(times: float) -> str:
 
 def _upward(points: AuditedPoints) -> Array | None:
     """Return the mean direction from the feet to the trunk over all frames, as a unit vector (3,); None if unknown."""
-    feet, upper = list(points.roles.feet), list(points.roles.upper)
-    if len(feet) < 2 or not upper:
-        return None
-    up = mean_of_known(points.positions[:, upper]) - mean_of_known(points.positions[:, feet])
-    up = up[np.isfinite(up).all(axis=1)]
-    if len(up) < MIN_COUNT:
+    up = feet_to_trunk(points)
+    if up is None:
         return None
     direction = np.mean(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12), axis=0)
     length = float(np.linalg.norm(direction))
@@ -189,9 +185,8 @@ def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
     left_of = _left(points)
     if left_of is None:
         return
-    partners = opposites(points.names)
-    left = [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"]
-    across = np.sum((points.positions[:, left] - points.positions[:, partners[left]]) * left_of[:, None], axis=2)
+    left, right = points.pairs
+    across = np.sum((points.positions[:, left] - points.positions[:, right]) * left_of[:, None], axis=2)
     signs = across[np.isfinite(across) & (np.abs(across) > 0.02 * points.extent)]
     if len(signs) >= MIN_COUNT:
         yield Measure("sides_exchanged", float(np.mean(signs < 0)), None, {"share": float(np.mean(signs < 0))})
@@ -327,7 +322,7 @@ def _ranges(points: AuditedPoints) -> Iterator[Measure]:
             continue
         proximal = points.positions[:, middle] - points.positions[:, above]
         distal = points.positions[:, below] - points.positions[:, middle]
-        angle_deg = np.degrees(flexion_about(proximal, distal, left)) * FLEXES_CAUDALLY[joint]
+        angle_deg = np.degrees(sagittal_angle(proximal, distal, left)) * FLEXES_CAUDALLY[joint]
         low, high = RANGE_DEG[joint]
         centre = 0.5 * (low + high)
         wrapped = np.mod(angle_deg - centre + 180, 360) - 180 + centre
@@ -337,19 +332,9 @@ def _ranges(points: AuditedPoints) -> Iterator[Measure]:
         value = float(np.sort(beyond)[-BEYOND_FRAMES] / BEYOND_DEG)
         if worst is None or value > worst.value:
             t = int(np.argmax(beyond))
-            run = next((run for run in frame_ranges(np.flatnonzero(beyond > 0)) if run[0] <= t < run[1]), (t, t + 1))
+            run = run_around(beyond > 0, t)
             numbers = {"joint": name.replace("_", " "), "angle_rad": float(np.radians(wrapped[t]))}
             numbers |= {"low_rad": float(np.radians(low)), "high_rad": float(np.radians(high))}
             worst = Measure("joint_beyond_range", value, run, numbers)
     if worst is not None:
         yield worst
-
-
-def flexion_about(proximal: Array, distal: Array, left: Array) -> Array:
-    """Return the angle from the proximal to the distal link about the axis to the left, rad, shape (T,).
-
-    The links and the axis have the shape (T, 3).
-    """
-    sine = np.sum(np.cross(proximal, distal) * left, axis=1)
-    across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
-    return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)

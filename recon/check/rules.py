@@ -223,10 +223,9 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
 
 def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if a subject's lengths differ from the skeleton's by more than animals of a species differ."""
-    skeleton = motion.settings.get("skeleton") or motion.body.name
-    if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
+    species = _species(motion)
+    if motion.body.subject is None or species is None:
         return
-    species = load_skeleton(skeleton)
     times = _span(motion.body) / _span(species)
     if abs(times - 1) > SUBJECT_SIGMAS * species.size_sigma:
         yield finding("subject_unlike_species", times=times, expected_sigma=species.size_sigma)
@@ -369,13 +368,19 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
 
 def _has_rough_lengths(motion: Motion) -> bool:
     """Return whether the lengths come from a generic skeleton, such as `quadruped`, for no particular species."""
-    skeleton = motion.settings.get("skeleton") or motion.body.name
-    if motion.body.subject is not None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
-        return False
+    species = _species(motion)
+    return motion.body.subject is None and species is not None and species.size_sigma > ROUGH_SIZE_SIGMA
+
+
+def _species(motion: Motion) -> Body | None:
+    """Return the skeleton without a subject's lengths; None if it is neither built-in nor a file that still exists."""
+    name = motion.settings.get("skeleton")
+    if name is None and motion.body.name not in builtin_names():
+        return None
     try:
-        return load_skeleton(skeleton).size_sigma > ROUGH_SIZE_SIGMA
+        return load_skeleton(name or motion.body.name)
     except InputError:  # the skeleton's file no longer exists
-        return False
+        return None
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:

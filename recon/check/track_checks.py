@@ -12,11 +12,11 @@ from math import gamma
 
 import numpy as np
 
-from recon.animal.body import opposites, side_of
+from recon.animal.body import side_of
 from recon.base.arrays import Array, Bools, Index
 from recon.check.audited import AuditedPoints, Measure
-from recon.check.inputs import MIN_COUNT, repeats_of
-from recon.clip import frame_ranges
+from recon.check.inputs import MIN_COUNT, repeats_of, repetition
+from recon.clip import frame_ranges, longest_run, run_around
 
 ROUNDING_FRACTION = 1e-9
 """Difference of coordinates, relative to the animal's size, up to which it counts as a rounding error."""
@@ -122,7 +122,7 @@ def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
     if worst is not None:
         value, i, j, same = worst
         numbers = {"points": points.named((i, j)), "count": int(same.sum())}
-        yield Measure("points_identical", value, _longest(same), numbers)
+        yield Measure("points_identical", value, longest_run(same), numbers)
 
 
 def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
@@ -130,12 +130,10 @@ def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
     repeats = repeats_of(points.positions)
     if not repeats.any():
         return
-    new_frames = np.flatnonzero(~repeats)
-    times = int(np.median(np.diff(new_frames))) if len(new_frames) > 2 else 1
-    if times > 1 and repeats.mean() < 1 - 0.5 / times:
-        numbers = {"times": times, "given_hz": points.fps or np.nan, "other_hz": (points.fps or np.nan) / times}
-        yield Measure("detections_repeated", float(times - 1), None, numbers)
-    first, stop = _longest(repeats)
+    of_all = repetition(repeats, points.fps)
+    if of_all is not None:
+        yield Measure("detections_repeated", of_all["times"] - 1.0, None, of_all)
+    first, stop = longest_run(repeats)
     numbers = {"count": int(repeats.sum()), "frames_total": len(repeats)}
     yield Measure("detections_frozen", float(stop - first), (first - 1, stop), numbers)
 
@@ -190,7 +188,7 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
         if not is_straight.any() or len(bent) < MIN_COUNT or rounding > 1 / MIN_BEND * np.median(bent):
             continue
         total += int(is_straight.sum())
-        first, stop = _longest(is_straight)
+        first, stop = longest_run(is_straight)
         if stop - first > worst[0]:
             worst = stop - first, k, first, stop
     length, k, first, stop = worst
@@ -206,11 +204,9 @@ def _jumps(points: AuditedPoints) -> Iterator[Measure]:
         return
     row, k = np.unravel_index(int(np.nanargmax(gains)), gains.shape)
     is_jump = np.nan_to_num(gains) > 1
-    first, stop = next(
-        (run for run in frame_ranges(np.flatnonzero(is_jump[:, k])) if run[0] <= row < run[1]), (row, row + 1)
-    )
+    first, stop = run_around(is_jump[:, k], int(row))
     numbers = {"points": points.named((int(k),)), "count": int(is_jump.sum()), "points_total": int(points.known.sum())}
-    yield Measure("points_jump", float(gains[row, k]), (int(first), int(stop)), numbers)
+    yield Measure("points_jump", float(gains[row, k]), (first, stop), numbers)
 
 
 def jumps_of(points: AuditedPoints) -> Array:
@@ -363,13 +359,10 @@ def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
 
 def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
     """Yield the log-likelihood gain of the most likely left-right swap, of all points or of one pair of limbs."""
-    partners = opposites(points.names)
-    left = np.array(
-        [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"], dtype=int
-    )
+    left, right = points.pairs
     if len(left) < MIN_PAIRS:
         return
-    gains = _reversal_gains(points, points.positions[:, left] - points.positions[:, partners[left]])
+    gains = _reversal_gains(points, points.positions[:, left] - points.positions[:, right])
     best: tuple[float, str, Index, int, Array] | None = None
     for part, pairs in _parts(points, left).items():
         total = gains[:, pairs].sum(axis=1)
@@ -430,17 +423,26 @@ def _normalised(points: AuditedPoints) -> Iterator[Measure]:
 
 def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
     """Yield the distance of the trunk below the feet in the picture, relative to the distance between the two."""
-    feet, upper = list(points.roles.feet), list(points.roles.upper)
-    if len(feet) < 2 or not upper:
-        return
-    up = mean_of_known(points.positions[:, upper]) - mean_of_known(points.positions[:, feet])
-    up = up[np.isfinite(up).all(axis=1)]
-    if len(up) < MIN_COUNT:
+    up = feet_to_trunk(points)
+    if up is None:
         return
     direction = np.median(up, axis=0)
     fraction = direction[1] / max(float(np.linalg.norm(direction)), 1e-9)
     if np.linalg.norm(direction) > 0.1 * points.extent:
         yield Measure("keypoints_y_up", float(fraction))
+
+
+def feet_to_trunk(points: AuditedPoints) -> Array | None:
+    """Return the vectors from the mean foot to the mean point of the trunk, (N, C), in the N frames with both.
+
+    Return None if the points' names do not show both, or if fewer than `MIN_COUNT` frames have both.
+    """
+    feet, upper = list(points.roles.feet), list(points.roles.upper)
+    if len(feet) < 2 or not upper:
+        return None
+    vectors = mean_of_known(points.positions[:, upper]) - mean_of_known(points.positions[:, feet])
+    vectors = vectors[np.isfinite(vectors).all(axis=1)]
+    return vectors if len(vectors) >= MIN_COUNT else None
 
 
 def mean_of_known(values: Array) -> Array:
@@ -449,8 +451,3 @@ def mean_of_known(values: Array) -> Array:
     total = np.where(known[..., None], values, 0.0).sum(axis=1)
     count = known.sum(axis=1)[:, None]
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _longest(rows: Bools) -> tuple[int, int]:
-    """Return the longest run of true elements, as the index of its first element and the index after its last."""
-    return max(frame_ranges(np.flatnonzero(rows)), key=lambda run: run[1] - run[0])

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side
+from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side, sagittal_angle
 from recon.animal.body import Body, Side
 from recon.base.arrays import Array, Brief
 from recon.base.numbers import NORMAL_90
@@ -111,23 +111,13 @@ def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
     for name, markers in body.anatomy.items():
         first, middle, last = (points_m[:, body.markers.index(marker)] for marker in markers)
         left = orientations[:, carriers[markers[0]], :, 1]
-        angle = _sagittal_angle(middle - first, last - middle, left) * FLEXES_CAUDALLY[joint_and_side(name)[0]]
+        angle = sagittal_angle(middle - first, last - middle, left) * FLEXES_CAUDALLY[joint_and_side(name)[0]]
         angles.append(np.mod(angle + np.pi / 2, 2 * np.pi) - np.pi / 2)
     return np.array(angles).reshape(-1, len(states))
 
 
-def _sagittal_angle(proximal: Array, distal: Array, left: Array) -> Array:
-    """Return the angle from the proximal to the distal link in the sagittal plane, shape (T,), rad.
-
-    The links and the unit vector to the left, about which the angle is positive, have the shape (T, 3).
-    """
-    sine = np.sum(np.cross(proximal, distal) * left, axis=1)
-    across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
-    return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)
-
-
 def _gradients(proximal: Array, distal: Array, left: Array) -> tuple[Array, Array, Array]:
-    """Return the derivatives of `_sagittal_angle` with respect to its three arguments, each of shape (T, 3)."""
+    """Return the derivatives of `sagittal_angle` with respect to its three arguments, each of shape (T, 3)."""
     sideways = np.sum(proximal * left, axis=1, keepdims=True), np.sum(distal * left, axis=1, keepdims=True)
     normal = np.cross(proximal, distal)
     sine = np.sum(normal * left, axis=1, keepdims=True)
