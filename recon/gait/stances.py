@@ -50,6 +50,8 @@ from recon.gait.spline import MIN_POINTS
 from recon.io.common import Pose3D
 
 FEET: Mapping[str, str] = {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}
+FOOT_ROWS = ("LH", "RH", "RF", "LF")
+"""Feet in the order of their rows in figures and on pages, from the top."""
 BODY = ("neck_base", "tail_base")
 
 OVERSAMPLING = 10

@@ -48,13 +48,10 @@ def result_sentences(
     elif (length := quantities.get("stride_length_m")) is not None and math.isfinite(length.value):
         frequency, period = quantities["stride_frequency_hz"], quantities["stride_s"]
         if period.value > gait.tracks.time_s[-1] - gait.tracks.time_s[0]:
-            yield (
-                "No foot completes a stride, and the clip is shorter than a stride. The motion would repeat after "
-                f"{quantity_text(period, 's')}."
-            )
+            yield f"The clip is shorter than a stride: the motion would repeat after {quantity_text(period, 's')}."
             return
         yield (
-            "No foot completes a stride. From the period of the motion, strides are "
+            "From the period of the motion, strides are "
             f"{quantity_text(length, 'm')} long, {quantity_text(frequency, 'Hz')}."
         )
 

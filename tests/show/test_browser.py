@@ -456,6 +456,9 @@ def test_a_page_prints_with_pictures_and_without_buttons(pages, opened):
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert page.locator(".stills img").first.is_visible()
     assert not page.locator(".player .controls").is_visible()
+    assert not page.locator("[data-finding] button").first.is_visible()
+    worst, in_table = page.locator("[data-keypoint]").first, page.locator("td[data-keypoint]").first
+    assert worst.inner_text() == in_table.inner_text() != ""  # the names are buttons on the screen
     page.set_viewport_size({"width": 690, "height": 1000})  # A4 within its margins
     assert page.evaluate(CUT) == []
 

@@ -163,11 +163,14 @@ def test_a_page_begins_with_the_verdict_the_error_and_what_to_do(whole_results, 
         motion.verdict.reason,
         "Expected: pose error",
         *([TO_DO[level]] if level in TO_DO else []),
+        "The animal moved",
         "still.jpg",
         "Frames: 60 of 60",
     ]
     assert sorted(told, key=html.index) == told
     assert html.count(motion.verdict.reason) == 1
+    assert "<th>keypoint</th>" in html
+    assert "swapped</th>" not in html  # no keypoint was, and a column of zeros tells nothing
 
 
 def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import cv2
@@ -13,6 +14,8 @@ import pytest
 from motions import with_first
 
 from recon.check.codes import finding
+from recon.fit.motion import MEASURED_FRACTION
+from recon.gait.stances import FOOT_ROWS
 from recon.show.page import pictures, player_data
 from recon.show.page.pictures import Cut, cut_of, encode_strip
 from recon.show.page.quality import quality_tables, worst_keypoint
@@ -102,6 +105,24 @@ def test_a_page_has_the_curves_and_stances_of_the_analysis(whole_analysis):
     np.testing.assert_allclose(unpacked(shown["values"]), np.degrees(elbow.angle_rad), atol=0.01)
     assert analysis.gait is not None
     assert [stance["foot"] for stance in data["stances"]] == [stance.foot for stance in analysis.gait.stances]
+    assert data["feet"] == [*FOOT_ROWS]
+
+
+def test_no_two_panels_show_the_same_angle(whole_analysis):
+    data = player_data.player_data(whole_analysis.motion, whole_analysis)
+    curves = [
+        (panel["title"], curve["side"], unpacked(curve["values"]), curve["measured"])
+        for panel in data["curves"]
+        for curve in panel["curves"]
+    ]
+    for (title, side, first, _), (other, other_side, second, _) in combinations(curves, 2):
+        if side == other_side:
+            differences = min(np.ptp(first - second), np.ptp(first + second))
+            assert differences > player_data.HINGE_DEG, (title, other)
+    # A joint of the model that the prior determines is grey, also as a flexion.
+    shares = whole_analysis.motion.data_shares
+    carpus = next(measured for title, side, _, measured in curves if (title, side) == ("carpus flexion", "left"))
+    assert carpus == (shares["l_fore_foot_pitch"] >= MEASURED_FRACTION)
 
 
 def test_angles_of_both_sides_share_a_panel(small_trajectory):

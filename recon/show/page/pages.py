@@ -37,7 +37,7 @@ from recon.show.console import TO_DO, reason_finding
 from recon.show.page.own_page import GENERATED, PAGE
 from recon.show.page.pictures import PictureStrip
 from recon.show.page.player_data import flag_runs, player_data
-from recon.show.page.quality import quality_tables, worst_keypoint
+from recon.show.page.quality import COUNTS, quality_tables, worst_keypoint
 from recon.show.page.scripts import script, style
 from recon.show.report import build_report
 from recon.show.sentences import analysis_sentences
@@ -149,6 +149,7 @@ def clip_page(
     analysis = motion.derived(ClipAnalysis) if has_pose.sum() >= MIN_POINTS else None
     player = player_data(motion, analysis, number, pictures) if has_pose.any() else None
     quality = quality_tables(motion)
+    quality_rows = [row for table in quality for row in table["rows"]]
     flagged = list(flagged_frames(motion))
     verdict_finding = reason_finding(report)
     further = [(number, item) for number, item in enumerate(report["findings"]) if number != verdict_finding]
@@ -157,7 +158,9 @@ def clip_page(
         title=files_read if batch is None else batch.clip,
         subtitle=_subtitle(motion) if batch is None else f"{files_read} · {_subtitle(motion)}",
         batch=batch,
-        words=list(_words(report, analysis)),
+        words=list(_words(analysis)),
+        frames=dict(report["lines"])["frames"],
+        ends=[f"frame {motion.frames[row]}, {quantity(motion.time_s[row], 3, 's')}" for row in (0, -1)],
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
         to_do="" if motion.verdict is None else TO_DO.get(motion.verdict.level, ""),
@@ -167,11 +170,15 @@ def clip_page(
         stills=stills,
         behind=video,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
+        cameras=len(motion.cameras),
         player=player,
         has_angles=player is not None and any(panel["group"] != "speed" for panel in player["curves"]),
         player_style=style("player"),
         player_script=script("main"),
         quality=quality,
+        columns={name: heading for name, heading in COUNTS.items() if any(row[name] for row in quality_rows)},
+        has_stuck=any(row["stuck"] for row in quality_rows),
+        has_look=any(row["look"] for row in quality_rows),
         worst=None if player is None else worst_keypoint(quality),
         sections=[] if analysis is None else list(_sections(analysis)),
         flagged=flagged[:MAX_ROWS],
@@ -202,9 +209,8 @@ def _subtitle(motion: Motion) -> str:
     return f"frames {frames[0]} to {frames[-1]}, {times}{cameras_text} · {motion.title}"
 
 
-def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
+def _words(analysis: ClipAnalysis | None) -> Iterator[str]:
     """Yield sentences that state speed, path and gait of a clip."""
-    yield f"Frames: {dict(report['lines'])['frames']}."
     if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
     else:

@@ -20,7 +20,7 @@ from recon.check.codes import sentences
 from recon.fit.motion import MEASURED_FRACTION, Motion, Picture
 from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
-from recon.gait.stances import INTERVAL, interval_of
+from recon.gait.stances import FOOT_ROWS, INTERVAL, interval_of
 from recon.show.page.pictures import PictureStrip
 from recon.show.page.quality import keypoint_notes
 
@@ -41,6 +41,8 @@ MAX_UNCERTAINTY_FRAMES = 600
 """Largest number of frames whose uncertainty is stored, evenly spaced because uncertainty changes slowly."""
 POSTURE_BYTES = 400_000
 """Size of the model's angle curves in bytes above which a page with anatomical flexions leaves these curves out."""
+HINGE_DEG = 0.5
+"""Largest range in degrees of the difference between a flexion and an angle of the model that show the same."""
 MISSING, FITS, OUTLIER = 0, 1, 2
 """States of a detection in the player's data."""
 
@@ -75,7 +77,7 @@ def player_data(
         "cameras": list(_cameras(motion, number)),
         "pictures": None if pictures is None else pictures.to_json(),
         "curves": [] if analysis is None else list(_curves(analysis)),
-        "feet": list(motion.foot_labels),
+        "feet": sorted(motion.foot_labels, key=[*FOOT_ROWS, *motion.foot_labels].index),
         "stances": [] if analysis is None or analysis.gait is None else _stances(motion, analysis),
         "findings": [
             {
@@ -230,9 +232,12 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     for flexion in analysis.flexions:
         curves = by_joint.setdefault(flexion.joint, {})
         curves[flexion.side] = np.degrees(flexion.angle_rad), np.degrees(flexion.sigma_rad), True
-    for joint, curves in by_joint.items():
-        yield _panel(f"{joint.replace('_', ' ')} flexion", "°", "flexion", curves)
     panels = posture_panels(motion)
+    for joint, curves in by_joint.items():
+        if (title := _hinge_angle(curves, panels)) is not None:
+            hinge = panels.pop(title)
+            curves = {side: (angle, sigma, hinge[side][2]) for side, (angle, sigma, _) in curves.items()}
+        yield _panel(f"{joint.replace('_', ' ')} flexion", "°", "flexion", curves)
     if not by_joint or 4 * motion.posture_rad.size <= POSTURE_BYTES:
         for title, panel in panels.items():
             yield _panel(title, "°", "angle", panel)
@@ -250,6 +255,27 @@ def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bo
         values = np.degrees(angle), np.degrees(sigma), not shares[name] < MEASURED_FRACTION
         panels.setdefault(title, {})[side_of(name)] = values
     return panels
+
+
+def _hinge_angle(
+    flexions: Mapping[Any, tuple[Array, Array, bool]],
+    panels: Mapping[str, Mapping[Any, tuple[Array, Array, bool]]],
+) -> str | None:
+    """Return the title of the model's angle that has the same curves as a joint's flexion, up to sign and offset.
+
+    Such a joint is a hinge of the model, and a second panel of its angle would show nothing new. Return None if no
+    angle has these curves.
+    """
+    for title, panel in panels.items():
+        if panel.keys() == flexions.keys() and all(_differ_by_offset(flexions[s][0], panel[s][0]) for s in panel):
+            return title
+    return None
+
+
+def _differ_by_offset(first: Array, second: Array) -> bool:
+    """Return whether two curves (T,) in degrees, or one and the negative of the other, differ by a constant."""
+    known = np.isfinite(first) & np.isfinite(second)
+    return bool(known.any()) and any(np.ptp((first + sign * second)[known]) < HINGE_DEG for sign in (-1, 1))
 
 
 def _panel(

@@ -17,6 +17,8 @@ STUCK_PX = 3.0
 """Radius in pixels within which the outliers of a keypoint lie if it is stuck at one point."""
 STUCK_LEAST = 5
 """Minimum number of frames with an outlier at the same point required to call a keypoint stuck."""
+COUNTS = {"missing": "missing", "left_out": "left out", "outliers": "outliers", "swapped": "swapped"}
+"""Columns of the table that are left out if all their numbers are 0, with their headings."""
 SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
 """Codes of findings on left-right swaps."""
 NEEDS_LOOK = 0.1

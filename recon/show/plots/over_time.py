@@ -31,11 +31,9 @@ from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics
 from recon.gait.phase import Closure, LinkField, Portrait, means_of_field
 from recon.gait.series import Series
-from recon.gait.stances import Stance, interval_of
+from recon.gait.stances import FOOT_ROWS, Stance, interval_of
 from recon.show.plots import style
 
-ROWS = ("LH", "RH", "RF", "LF")
-"""Feet in the order of their rows in a figure, from the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
 """Height of a foot's bars for all gaits together, as a fraction of the height of the foot's row."""
@@ -52,8 +50,8 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
     """
     captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
-    other_feet = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in ROWS]
-    feet = [foot for foot in ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(
+    other_feet = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in FOOT_ROWS]
+    feet = [foot for foot in FOOT_ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(
         dict.fromkeys(other_feet)
     )
     with style.drawing(9.0 * len(feet) + 32 + 3.4 * lines + 4 * bool(title), title=title) as figure:
@@ -143,7 +141,7 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
 
     Forces and the height have 90 % bands.
     """
-    feet = [foot for foot in ROWS if foot in dynamics.force] or list(dynamics.force)
+    feet = [foot for foot in FOOT_ROWS if foot in dynamics.force] or list(dynamics.force)
     with style.drawing(26.0 + 24.0 * (len(feet) + 1)) as figure:
         heights = [0.7, *[1.0] * len(feet), 1.0]
         top, *below, last = figure.subplots(len(feet) + 2, 1, sharex=True, gridspec_kw={"height_ratios": heights})
