@@ -102,14 +102,16 @@ def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
 def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
     """Return an estimate of the focal length from the one second of the clip with the most detections.
 
-    Return None if the camera moves, if a foot is rarely detected, or if this second has fewer than three frames or a
-    frame without a pose. `noise_px` is the fit's standard deviation of each detection, pixels, shape (T, J).
+    Return None if the camera moves, if the animal has no feet or one of them is rarely detected, or if this second has
+    fewer than three frames or a frame without a pose. `noise_px` is the fit's standard deviation of each detection,
+    pixels, shape (T, J).
     """
     rows = best_seen(baseline.view, baseline.clip.fps)
     clip, states = baseline.clip.part(rows), baseline.states[rows]
     if not baseline.view.is_still or len(states) < 3 or not np.isfinite(states).all():
         return None
-    if (clip.views[0].present[:, clip.feet].mean(axis=0) < MIN_FOOT_FRACTION).any():
+    foot_fractions = clip.views[0].present[:, clip.feet].mean(axis=0)
+    if not len(foot_fractions) or foot_fractions.min() < MIN_FOOT_FRACTION:
         return None
     refits = {0.0: _scene_refit(clip, baseline.settled(rows, noise_px))}
     for nearer, farther in (SHORTER_LOG_FACTORS, LONGER_LOG_FACTORS):

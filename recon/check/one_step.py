@@ -119,7 +119,7 @@ def one_steps(
     clip = replace(clip, prior_weight=segment.prior_weight)
     states = clip.nominal(solution.states[rows], solution.size)
     points_m = clip.markers(states)
-    contact_terms = contacts(clip, points_m, solution.size)[-1] if clip.finds_ground else ()
+    *_, contact_terms = contacts(clip, points_m, solution.size)
     problem = clip.problem(solution.noise_px[:, rows], 1.0, contact_terms, points_m, solution.size)
     names = {key: f"{_EXTRA} {i}" for i, key in enumerate(unknowns)}
     terms = []

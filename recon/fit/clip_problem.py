@@ -499,9 +499,12 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     """Return the contact weights (T, F) of the feet, the ground, and the cost terms of both.
 
     `points_m` are the markers (T, J, 3) at nominal size. The ground is a plane through the feet in stance, fitted by
-    reweighted least squares. The ground is None if too few feet stand.
+    reweighted least squares. The ground is None if too few feet stand. If the clip has no ground to find
+    (`ClipProblem.finds_ground`), all weights are 0, and there are no terms.
     """
     feet = clip.feet
+    if not clip.finds_ground:
+        return np.zeros((len(clip), len(feet))), None, ()
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
     _, _, slow = stance.contact(points_m, size)
     if len(clip.views) == 1 and clip.shows_size:

@@ -102,7 +102,7 @@ def problems_at(
         if not np.isfinite(states).all():
             continue
         points = part.markers(states)
-        contact_terms = contacts(part, points, size)[2] if part.finds_ground else ()
+        *_, contact_terms = contacts(part, points, size)
         in_step = part.before_offsets(solution.time_offset_frames)
         problem = in_step.problem(solution.noise_px[:, rows], 1.0, contact_terms, points, size)
         shared = {name: (problem.expected() | values)[name] for name in problem.columns}

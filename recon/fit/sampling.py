@@ -22,7 +22,7 @@ from recon.fit.constants import focal_sigma_of
 from recon.fit.least_squares import Estimate
 from recon.fit.posterior import curvature, with_reestimated_noise
 from recon.fit.result import TrajectorySolution
-from recon.fit.terms import SIDESLIP, SIZE, time_offset
+from recon.fit.terms import SIDESLIP, SIZE, offset_values
 from recon.geometry.kinematics import ROOT
 
 
@@ -51,7 +51,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         [[mean(joint_noise_px) for joint_noise_px in noise_px.T] for noise_px in solution.noise_px]
     )
     size = solution.size if clip.shows_size else 1.0
-    shared_values = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
+    shared_values = offset_values(solution.time_offset_frames)
     shared_values |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
     nominal, drawn = clip.nominal(solution.states, solution.size), np.full((count, *solution.states.shape), np.nan)
     for segment in solution.segments:
@@ -62,9 +62,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         points = segment_clip.markers(states)
         noise_px = segment_clip.noise_px(points, np.ones_like(mean_noise_px), size)
         noise_px *= (mean_noise_px / noise_px.mean(axis=1))[:, None]
-        problem = segment_clip.problem(
-            noise_px, 1.0, contacts(segment_clip, points, size)[2] if segment_clip.finds_ground else (), points, size
-        )
+        problem = segment_clip.problem(noise_px, 1.0, contacts(segment_clip, points, size)[2], points, size)
         # the views already contain the refined cameras, so those unknowns are left out
         shared = {name: (problem.expected() | shared_values)[name] for name in problem.columns}
         estimate, variance_factor = Estimate(states, 0.0, 0, True, shared), clip.correlation_frames

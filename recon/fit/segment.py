@@ -98,11 +98,9 @@ def solve_round(clip: ClipProblem, segment: SegmentFit, roughly: bool = False) -
     `roughly` ends the search early, because another round follows.
     """
     options, estimate, size = clip.options, segment.estimate, segment.size
-    contact, ground, contact_terms = segment.contact, segment.ground, ()
     points = with_solved_shape(clip, segment).markers(estimate.states)
     noise = _noise_factors(with_solved_cameras(clip, segment), points, size, segment.noise)
-    if clip.finds_ground:
-        contact, ground, contact_terms = contacts(clip, points, size)
+    contact, ground, contact_terms = contacts(clip, points, size)
     noise_px = clip.noise_px(points, noise, size)
     problem = clip.problem(noise_px, 1.0, contact_terms, points, size)
     tolerance = constants.ROUGH_TOLERANCE if roughly else (10 if options.fast else 1) * constants.TOLERANCE

@@ -178,9 +178,7 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
 def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     """Solve a segment again from its fit, with the fit's noise and the contacts that follow from the fit."""
     points, size = clip.markers(segment.estimate.states), segment.size
-    contact, ground, contact_terms = segment.contact, None, ()
-    if clip.finds_ground:
-        contact, ground, contact_terms = contacts(clip, points, size)
+    contact, ground, contact_terms = contacts(clip, points, size)
     problem = clip.problem(segment.noise_px, 1.0, contact_terms, points, size)
     shared = problem.expected() | dict(segment.estimate.shared)
     estimate = problem.minimise(segment.estimate.states, constants.TOLERANCE, constants.MAX_ITERATIONS, shared)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from recon.check.focal import focal_finding
-from recon.check.likelihood import Baseline
+from recon.check.focal import focal_finding, focal_test
+from recon.check.likelihood import Baseline, lens_findings
 from recon.fit.result import Finding
 
 
@@ -45,3 +45,12 @@ def test_a_focal_length_within_the_stated_uncertainty_is_not_reported(sample_bas
     baseline, noise_px = sample_baseline
     with threadpool_limits(1, user_api="blas"):
         assert focal_finding(with_focal_scale(baseline, -0.4, focal_sigma=0.3), noise_px) is None
+
+
+def test_the_lens_of_an_animal_without_feet_is_tested_but_not_the_focal_length(sample_baseline):
+    baseline, noise_px = sample_baseline
+    body = replace(baseline.clip.body, feet=(), foot_labels=())
+    without_feet = Baseline(replace(baseline.clip, body=body), baseline.states)
+    with threadpool_limits(1, user_api="blas"):
+        assert list(lens_findings(without_feet, noise_px)) == []
+        assert focal_test(without_feet, noise_px) is None
