@@ -34,8 +34,9 @@ from recon.base.settings import on_command_line
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
-from recon.fit.motion_forms import MOTION
+from recon.fit.motion_forms import CONFIG, MOTION, REPORT
 from recon.fit.result import TrajectorySolution
+from recon.io.corrections import CORRECTIONS
 from recon.show.page.own_page import PLAYBACK
 from recon.show.plain import write_report
 from recon.show.report import build_report
@@ -46,16 +47,13 @@ WRITING_BEGINS = 0.9
 T = TypeVar("T")
 FIT = "fit"
 """Command under which the manifest lists the files of a fit."""
-CONFIG = "config.toml"
-CORRECTIONS = "corrections.csv"
-"""File of corrections by hand in a results folder."""
 SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and settings with which the clip was fitted: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
 """Camera file with the poses that a fit refined."""
 MAX_PLAYED_FRAMES = 2000
 """Maximum number of frames for which a fit writes the playback by default, a minute at the viewer's usual speed."""
-OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CONFIG, MANIFEST)
+OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, REPORT, PLAYBACK, CONFIG, MANIFEST)
 """Names of all output files for a clip of one camera. A clip of several cameras has one `REPROJECTION` per camera."""
 
 
@@ -121,7 +119,7 @@ def write_clip(
     with output_of(settings, out, overwrite=True).staged() as folder:
         motion.save(folder)
         write_tables(motion, folder)
-        write_report(report, folder / "report.json")
+        write_report(report, folder / REPORT)
         (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
         is_short = len(motion.frames) <= MAX_PLAYED_FRAMES
         if settings.playback is True or (settings.playback == "auto" and is_short):

@@ -22,7 +22,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from recon.api.analysis_settings import NO_COMPARE_OUT, SPEED_NAMES, CompareSettings
-from recon.api.clip_results import CONFIG
 from recon.api.experiment import (
     ALL,
     MODEL,
@@ -45,7 +44,7 @@ from recon.base.tables import write_frame
 from recon.check.codes import names_text
 from recon.check.verdict import usable
 from recon.fit.motion import Motion
-from recon.fit.motion_forms import MOTION
+from recon.fit.motion_forms import CONFIG, MOTION
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.quantities import GaitQuantity, event_sigma_s, path_speed_sigma, shared_sigma_columns
 from recon.show.page.compare_page import compare_page, value_with_interval

@@ -14,16 +14,19 @@ import numpy as np
 
 from recon.animal.body import opposites
 from recon.api.clip import fit_clip, refit_clip
-from recon.api.clip_results import CONFIG, digest, read_config
+from recon.api.clip_results import digest, read_config
 from recon.api.epipolar import epipolar_lines_px
 from recon.api.settings import FitSettings
+from recon.base.arrays import to_plain
 from recon.base.errors import InputError, Problem
 from recon.base.file_names import encodable
 from recon.base.files import staged_file
 from recon.check.to_correct import to_correct
 from recon.check.verdict import verdict_lines
 from recon.fit.motion import Motion
+from recon.fit.motion_forms import CONFIG
 from recon.io.corrections import Correction, read_corrections, write_corrections
+from recon.show.page.pages import median_error_px
 from recon.show.page.player_data import player_data
 
 MAX_CORRECTIONS = 100_000
@@ -112,7 +115,7 @@ class CorrectionSession:
             "version": self.version,
             "clip": player_data(motion, None, self.camera),
             "later_frames": [source.later_frames for source in motion.sources],
-            "queue": [_json_numbers(asdict(point)) for point in to_correct(self._suggested_from)],
+            "queue": [to_plain(asdict(point)) for point in to_correct(self._suggested_from)],
             "pairs": _pairs(motion),
             "before": self.before,
             "now": _summary(motion),
@@ -246,14 +249,13 @@ def _is_point(value: object) -> bool:
 def _summary(motion: Motion) -> dict[str, object]:
     """Return the verdict, the expected error (mm), the median distance of the detections (px), and the outliers."""
     verdict = motion.verdict
-    distances_px = np.concatenate([picture.distance_px.ravel() for picture in motion.pictures])
-    known_px = distances_px[np.isfinite(distances_px)]
+    error_px = median_error_px(motion)
     outliers = int(sum(picture.outliers.sum() for picture in motion.pictures))
     return {
         "level": "" if verdict is None else verdict.level,
         "lines": [*verdict_lines(verdict)],
         "expected_mm": None if verdict is None or verdict.pose_m is None else 1000.0 * verdict.pose_m.expected,
-        "median_px": float(np.median(known_px)) if len(known_px) else None,
+        "median_px": error_px if math.isfinite(error_px) else None,
         "outliers": outliers,
     }
 
@@ -261,8 +263,3 @@ def _summary(motion: Motion) -> dict[str, object]:
 def _pairs(motion: Motion) -> list[list[int]]:
     """Return the pairs of left and right keypoints, as indices."""
     return [[i, int(j)] for i, j in enumerate(opposites(motion.joints)) if i < j]
-
-
-def _json_numbers(row: dict[str, object]) -> dict[str, object]:
-    """Return a suggested correction with NaN, which JSON cannot represent, replaced by None."""
-    return {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}

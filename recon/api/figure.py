@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recon.animal.prior import NONE
 from recon.api.analyse import DEFAULT_FIGURES, figures_of
 from recon.base.errors import InputError, Problem
 from recon.base.numbers import counted
@@ -155,7 +156,7 @@ def caption_of(analysis: ClipAnalysis, names: Sequence[str], results: str = "") 
     cameras = counted(len(motion.sources), "camera")
     made = f"Made with recon {version()} from {results or 'a result'}: {frames}, {cameras}, skeleton {motion.body.name}"
     prior = motion.solution.prior if isinstance(motion.solution, TrajectorySolution) else None
-    method = f", prior {prior}." if prior and prior != "none" else ", no motion prior."
+    method = f", prior {prior}." if prior and prior != NONE else ", no motion prior."
     sides = ["Blue: left; orange: right; black: the middle."] if any(name in BY_SIDE for name in names) else []
     return "\n".join([*texts, *sides, f"{n}.", made + method, f"Cite: {CITATION} Version {version()}.", ""])
 

@@ -11,12 +11,13 @@ import numpy as np
 
 from recon.animal.naming import load_names, new_names
 from recon.api.clip import fit_clip
-from recon.api.clip_results import CONFIG, read_config
+from recon.api.clip_results import read_config
 from recon.api.settings import FitSettings
 from recon.base.errors import InputError, Problem
 from recon.base.outputs import Output
 from recon.clip import Keypoints
 from recon.fit.motion import Motion
+from recon.fit.motion_forms import CONFIG
 from recon.io.corrections import Correction, read_corrections, with_corrections
 from recon.io.formats import read_keypoints
 from recon.io.label_files import (

@@ -14,7 +14,7 @@ from recon.animal.bones import bones_of
 from recon.animal.measured import detector_toml, subject_toml
 from recon.animal.skeleton_file import NONE
 from recon.api.clip_inputs import prepare
-from recon.api.clip_results import CONFIG, read_config
+from recon.api.clip_results import read_config
 from recon.api.model_settings import SubjectFitSettings
 from recon.api.settings import FitSettings
 from recon.base.arrays import Array, Integers
@@ -24,6 +24,7 @@ from recon.base.settings import input_paths
 from recon.clip import views_of
 from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem
+from recon.fit.motion_forms import CONFIG
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.regions import radius
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, ShapeFit, fit_shape

@@ -117,16 +117,6 @@ def rough_length(length_m: float) -> str:
     return quantity(scaled, digits, unit)
 
 
-def known_within(sigma_m: float) -> str:
-    """Return words for a length that is known only roughly, such as "known to within 2 m"."""
-    scale, unit = (1e3, "mm") if sigma_m < SHORT_M else (1.0, "m")
-    return (
-        f"known to within {scale * sigma_m:.1g} {unit}"
-        if scale * sigma_m < 10
-        else (f"known to within {rounded(scale * sigma_m, -1)} {unit}")
-    )
-
-
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun, such as "1 clip" or "2 clips"."""
     return f"{count} {noun}{'s' * (count != 1)}"

@@ -41,7 +41,7 @@ from recon.check.stretch import STRETCH, stretch_finding
 from recon.check.swaps import swap_finding, swaps
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out, longest_run
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.motion import Motion
+from recon.fit.motion import Motion, trajectory_solution
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import REFERENCE_HZ
 from recon.fit.triangulation import predicted_by_others
@@ -103,8 +103,7 @@ def input_findings(
     possible
         Other cameras in the camera file, one of which may have filmed the clip of a single camera.
     """
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
+    solution = trajectory_solution(motion)
     clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, options)
     ground_clip = _as_solved(clip, solution)
     has_learned_prior = prior.name != NONE and bool(solution.posed.any())
@@ -209,8 +208,7 @@ def _explain_by_only_view(
     If the path jolts and nothing else was found, the hind half may belong to another animal. If there are no findings
     on the motion, the lens, the stretch and the focal length are tested as well.
     """
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
+    solution = trajectory_solution(motion)
     if any(item.code != "path_jolts" for item in moves):
         return [*moves]
     steps = one_steps(clip, solution, {"halves": hind_offset(clip), "stretch": STRETCH})
@@ -222,8 +220,7 @@ def _explain_by_only_view(
 
 def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline, stretch: Step | None) -> list[Finding]:
     """Return findings on a single camera: a wrong lens or focal length in its file, or a stretched video."""
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
+    solution = trajectory_solution(motion)
     sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))
     lens = lens_findings(baseline, solution.noise_px[0])
     findings = [
@@ -536,8 +533,7 @@ picture (`python benchmarks/wrong_inputs.py --only input-limits`).
 
 def movement(motion: Motion) -> Iterator[Finding]:
     """Yield at most one finding, on an impossible motion over the ground or on an animal that stands still."""
-    solution, posed = motion.solution, motion.solved
-    assert isinstance(solution, TrajectorySolution)
+    solution, posed = trajectory_solution(motion), motion.solved
     if posed.sum() < max(MIN_DURATION_S * motion.fps, 3):
         return
     forward, _ = _along(motion)
@@ -573,8 +569,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
 
 def jolt_costs(motion: Motion) -> dict[str, float]:
     """Return a dictionary of the costs of the body's path per 1/90 s, with the same keys as `MAX_PATH_COSTS`."""
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
+    solution = trajectory_solution(motion)
     frames = REFERENCE_HZ * float(motion.solved.sum()) / motion.fps
     return {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in MAX_PATH_COSTS}
 

@@ -24,7 +24,7 @@ from recon.check.inputs import FASTEST_M_S, GROSS_REASON, MOTION_CODES
 from recon.clip import UNLIKELY, Source
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.motion import Motion
+from recon.fit.motion import Motion, trajectory_solution
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.solution import ALTERNATIVE_M
 
@@ -273,7 +273,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     """
     if len(motion.sources) < 2:
         return
-    solution = _solution(motion)
+    solution = trajectory_solution(motion)
     delays = [v.offset_frames - s.offset_frames for v, s in zip(solution.views, motion.sources, strict=True)]
     ends = [int(np.argmin(delays)), int(np.argmax(delays))]
     apart_frames = delays[ends[1]] - delays[ends[0]]
@@ -292,7 +292,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
 
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
     """Yield a finding on the segment with the largest prior misfit, unless another frame rate explains the misfit."""
-    solution = _solution(motion)
+    solution = trajectory_solution(motion)
     is_rate_explained = any(item.code in ("frame_rate", "frame_rate_stated") for item in motion.findings)
     if any(segment.unlike_prior for segment in solution.segments) and not is_rate_explained:
         misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
@@ -343,7 +343,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
 
 def solution_unusual(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if the fit did not converge, and a finding if the animal has an unexpected size."""
-    solution = _solution(motion)
+    solution = trajectory_solution(motion)
     if solution.status != "converged":
         yield finding("not_converged")
     if abs(solution.size - 1) > SIZE_SIGMAS * solution.size_prior_sigma:
@@ -358,7 +358,8 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
     In this case, the animal has different sizes in the two pictures, or an unexpected size.
     """
     largest_gain = max(
-        (test.misplaced for test in _solution(motion).second_cameras if test.misplaced >= test.late), default=0.0
+        (test.misplaced for test in trajectory_solution(motion).second_cameras if test.misplaced >= test.late),
+        default=0.0,
     )
     if largest_gain > 0:
         names = tuple(picture.name for picture in motion.pictures)
@@ -422,8 +423,3 @@ def _outliers(motion: Motion) -> tuple[int, float]:
     count = sum(int(picture.outliers.sum()) for picture in motion.pictures)
     detections = sum(int(picture.present.sum()) for picture in motion.pictures)
     return count, count / max(detections, 1)
-
-
-def _solution(motion: Motion) -> TrajectorySolution:
-    assert isinstance(motion.solution, TrajectorySolution)
-    return motion.solution

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,7 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     written, out = run_analysis(settings, progress), settings.out_folder
     lines = [*_lines(written.analysis, written.summary), f"{len(written.files)} files are in {out}."]
     if out == settings.folder / ANALYSIS_FOLDER:
-        lines.append(f"See them with the playback: recon view {settings.folder}")
+        lines.append(f"See them with the playback: recon view {shlex.quote(str(settings.folder))}")
     return Answer(written.summary, lines, files=written.files)
 
 

@@ -294,6 +294,7 @@ def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, *
 
     `page` is the page of the result, if there is one, and `fields` are added to the JSON.
     """
+    from recon.fit.motion_forms import REPORT
     from recon.show.console import console_summary
     from recon.show.page.own_page import PLAYBACK, VIDEO_PLAYBACK
     from recon.show.report import is_unsolved
@@ -301,7 +302,7 @@ def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, *
     report_fields = {name: report[name] for name in ("method", "summary", "findings")}
     data = {"out": out, **report_fields, "seconds": report["timing_s"]["solve_s"], **fields}
     if is_unsolved(report):
-        return Answer(data, [console_summary(report)], [f"no frame could be solved: see {out / 'report.json'}"])
+        return Answer(data, [console_summary(report)], [f"no frame could be solved: see {out / REPORT}"])
     folder, contents = shlex.quote(str(out)), "pictures, figures and all numbers"
     lines = [f"Results are in {out}. Watch them with: recon view {folder}"]
     if not any((out / name).is_file() for name in (PLAYBACK, VIDEO_PLAYBACK)):

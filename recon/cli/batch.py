@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -163,7 +164,7 @@ def run_on_console(console: Console, left: int, work: Callable[[OnEvent], Summar
         Text(", ").join(parts),
         f", in {quantity(seconds, 0, 's')}. Summary: {summary.path}",
     )
-    out = summary.path.parent
+    out = shlex.quote(str(summary.path.parent))
     lines = [*_table(summary), status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
     if summary.verdicts():
         lines.append(f"Next: {clip_command.format(out=out)}recon compare {out} --out FOLDER (all clips).")

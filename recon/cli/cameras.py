@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -120,7 +121,7 @@ def extrinsics(settings: _ExtrinsicsSettings, options: _OfClips, progress: Progr
         say(console, note, "yellow")
     level_rad = math.radians(settings.level_deg or 0.0)
     cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
-    written = f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}"
+    written = f"Written: {settings.out}. Fit clips with: recon fit ... --camera {shlex.quote(str(settings.out))}"
     return Answer(report, [*lines_of(cameras, report), written])
 
 

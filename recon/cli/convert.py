@@ -15,6 +15,7 @@ from recon.base.settings import Option, Positive, Settings, input_paths
 from recon.cli.answers import Answer, table_of
 from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
+from recon.fit.motion_forms import REPORT
 from recon.io.columns import parse_map
 from recon.io.common import Pose3D
 from recon.io.formats import CONVERTED, Format, as_keypoints, read_points
@@ -155,7 +156,7 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
         If the source cannot be read.
     """
     motion = None
-    if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("[!.]*.json"))):
+    if source.is_dir() and ((source / REPORT).is_file() or not any(source.glob("[!.]*.json"))):
         from recon.check.verdict import usable
 
         motion = usable(Motion.load(source), source, settings.anyway)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -62,7 +63,7 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
         drawn = figures_of(analysis)
         rows = [(name, caption_of(analysis, (name,)).partition("\n")[0]) for name in drawn]
         example = next(name for name in (DEFAULT_FIGURES[1], *DEFAULT_FIGURES) if name in drawn)
-        advice = f"Draw one with: recon figure {settings.folder} {example} --out fig1.pdf"
+        advice = f"Draw one with: recon figure {shlex.quote(str(settings.folder))} {example} --out fig1.pdf"
         return Answer([row[0] for row in rows], [table_of("figure", "what it shows", rows=rows), advice])
     caption_path = out.with_suffix(".txt")
     output = Output(out.parent, "figure", settings.overwrite, input_paths(settings), made_from, exact=out.name)

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import cv2
 from rich.console import Console
 
-from recon.api.clip_results import CONFIG, CORRECTIONS, read_config
+from recon.api.clip_results import read_config
 from recon.api.corrections import CorrectionSession
 from recon.api.label_export import CorrectedClip, labels_output, write_labels
 from recon.base.arrays import Integers
@@ -25,6 +25,8 @@ from recon.cli.look import first_in_clip, result_and_video
 from recon.cli.serving import saving, serve_until_ctrl_c
 from recon.cli.video_options import FixSettings
 from recon.fit.motion import Motion
+from recon.fit.motion_forms import CONFIG
+from recon.io.corrections import CORRECTIONS
 from recon.io.deeplabcut import write_csv
 from recon.io.hdf5_poses import write_deeplabcut
 from recon.io.video import Image, probe

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from http import HTTPStatus
 
 from rich.console import Console
@@ -16,13 +17,12 @@ from recon.cli.look import camera_number
 from recon.cli.serving import saving, serve_until_ctrl_c
 from recon.cli.video_options import LabelSettings
 from recon.fit.motion import Motion
+from recon.io.common import SCORER
 from recon.io.deeplabcut_project import find_project
 from recon.io.label_files import LABELED_DATA, require_label_names
 from recon.io.video import probe
 from recon.show.page.pages import rendered
 from recon.show.page.scripts import script, style
-
-SCORER = "recon"
 
 
 def label_video(settings: LabelSettings, console: Console) -> Answer:
@@ -49,7 +49,8 @@ def label_video(settings: LabelSettings, console: Console) -> Answer:
     done = len({frame for frame, _ in session.points_px})
     lines = [f"{counted(len(session.points_px), 'label')} in {counted(done, 'frame')} are in {session.output.folder}."]
     if done:
-        lines.append(f"Train a network with them: recon train {settings.out} --out models/{video.stem}")
+        data, network = (shlex.quote(str(path)) for path in (settings.out, f"models/{video.stem}"))
+        lines.append(f"Train a network with them: recon train {data} --out {network}")
     return Answer({"labels": len(session.points_px), "frames": done, "folder": session.output.folder}, lines)
 
 

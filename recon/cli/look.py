@@ -29,14 +29,13 @@ from recon.check.verdict import usable
 from recon.cli.answers import Answer, say, verdict_texts, wait_for_ctrl_c
 from recon.cli.look_options import OverlaySettings, PageSettings, ResultSettings, ViewSettings
 from recon.fit.motion import Motion
-from recon.fit.motion_forms import MOTION
+from recon.fit.motion_forms import MOTION, REPORT
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
 from recon.show.page.own_page import PAGE, PLAYBACK, SUMMARY, SUMMARY_PAGE, VIDEO_PLAYBACK
 from recon.show.page.pages import Neighbours, clip_page, jpeg
 from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
-from recon.show.report import REPORT
 
 SLOW_FPS = 30.0
 """Maximum frame rate of an overlay video. Faster clips are slowed down to this rate unless a speed is given."""
@@ -46,7 +45,9 @@ MIN_WIDTH_PX = 640
 """Width below which videos are enlarged by a whole factor, so that their text is readable."""
 MAX_STILLS = 9
 """Maximum number of stills on a page."""
-LINKED_FILES = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
+OVERLAY = "overlay.mp4"
+"""Video that `recon run` writes into the results folder."""
+LINKED_FILES = (OVERLAY, f"{ANALYSIS_FOLDER}/{ANALYSIS}", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to the files of the fit, if they exist when the page is made."""
 
 

@@ -220,4 +220,4 @@ def _subject_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
         yield "The search was stopped before it had converged: more frames would help."
     kind, use = ("subject", "--subject ") if lengths else ("detector", "--set detector=")
     yield f"From {counted(report['clips'], 'clip')}, {report['frames']} frames. The {kind} is in {out}."
-    yield f"Use it with: recon fit {use}{out}"
+    yield f"Use it with: recon fit {use}{shlex.quote(str(out))}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -65,7 +66,8 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
         first = suspects[0]
         worst = f"{first['keypoint']} in {first['image']} the most"
         yield f"{len(suspects)} labels look wrong, {worst}: see {out / 'suspicious.csv'}."
-    yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
+    model = shlex.quote(str(out))
+    yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {model} --out FILE.csv"
 
 
 def predict_command(settings: PredictSettings, progress: Progress) -> Answer:

@@ -7,6 +7,7 @@ files of each stage. A stage that began and did not end is repeated. A folder of
 from __future__ import annotations
 
 import os
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -47,7 +48,7 @@ from recon.cli.analyse import analyse_command
 from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
 from recon.cli.batch import run_on_console
 from recon.cli.cameras import camera_motion_answer
-from recon.cli.look import bars_note, draw_overlay, make_page, rate_note, write_recording
+from recon.cli.look import OVERLAY, bars_note, draw_overlay, make_page, rate_note, write_recording
 from recon.cli.look_options import OverlaySettings, PageSettings, ViewSettings
 from recon.cli.video_options import RunSettings
 from recon.fit.motion import Motion
@@ -60,7 +61,6 @@ from recon.show.report import build_report, is_unsolved
 from recon.show.tables import TABLES
 
 RECORD = "run.jsonl"
-OVERLAY = "overlay.mp4"
 RECORDED_FRAMES = 1500
 """Maximum number of frames of a clip whose video is put into the recording, as a JPEG of each frame."""
 
@@ -341,7 +341,8 @@ def _record(settings: ViewSettings, progress: Progress) -> Answer:
     if frames <= RECORDED_FRAMES:
         return write_recording(settings, progress)
     answer = write_recording(replace(settings, video=None, first_frame=0), progress)
-    command = f"recon view {settings.folder} --video {settings.video}"
+    folder, video = (shlex.quote(str(path)) for path in (settings.folder, settings.video))
+    command = f"recon view {folder} --video {video}"
     text = f"the recording of {frames} frames does not contain the video; to see both: {command}"
     return replace(answer, notes=[text])
 

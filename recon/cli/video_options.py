@@ -49,8 +49,10 @@ class RunSettings(Settings):
             actual = "nothing" if self.model is None else f"{self.keypoints} together with --model"
             yield Problem("--keypoints", "keypoints", actual, "a keypoint file, or --model with a network")
         if self.corrections is not None and self.video.is_dir():
+            from recon.io.corrections import CORRECTIONS  # slow to import, and help does not need it
+
             actual = f"{self.corrections} for a folder of videos"
-            expected = "corrections.csv in the folder of each video's results"
+            expected = f"{CORRECTIONS} in the folder of each video's results"
             yield Problem("--corrections", "corrections", actual, expected)
         if {"detect": self.model, "camera-motion": self.camera_motion}.get(self.start or "", ()) is None:
             yield Problem(

@@ -635,6 +635,12 @@ class Motion:
         return R @ covariance_m2 @ R.T
 
 
+def trajectory_solution(motion: Motion) -> TrajectorySolution:
+    """Return the solution of a motion that was fitted by the trajectory method."""
+    assert isinstance(motion.solution, TrajectorySolution)
+    return motion.solution
+
+
 def _sigmas(covariance: Array) -> Array:
     """Return the standard deviations (..., 3) along the axes from covariances (..., 3, 3)."""
     return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))

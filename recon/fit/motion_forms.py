@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -24,16 +25,15 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-MOTION = "motion.npz"
+MOTION, REPORT, CONFIG = "motion.npz", "report.json", "config.toml"
+"""Names of the motion in a results folder of `recon fit`, of its report and of its settings."""
 SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 4}, (2, 3)
 """Name and version of the format, and the older versions that can be read.
 
 Version 2 named classes by their modules (`_CLASSES_BY_PATH`). Versions 2 and 3 stored arrays unchanged.
 """
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
-_REPORT, _CONFIG = "report.json", "config.toml"
-"""Files next to the motion in a results folder of `recon fit`."""
-_FIT_FILES = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
+_FIT_FILES = (REPORT, CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
 """Files of a fit, each of which shows an interrupted run if the manifest is missing."""
 
 
@@ -78,7 +78,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
     # These files are written by a fit, not by `Motion.save`.
     if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):
         read_manifest(folder).require(MOTION)
-    hint = f"; if it is of an earlier version, run {_refit_command(folder)}" if (folder / _CONFIG).is_file() else ""
+    hint = f"; if it is of an earlier version, run {_refit_command(folder)}" if (folder / CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)
     try:
         faults = _misfits(motion)
@@ -113,12 +113,13 @@ def _misfits(motion: Motion) -> list[tuple[str, str, str]]:
 
 
 def _refit_command(folder: Path) -> str:
-    return f"recon fit --config {folder / _CONFIG} --out {folder} --overwrite"
+    config, out = (shlex.quote(str(path)) for path in (folder / CONFIG, folder))
+    return f"recon fit --config {config} --out {out} --overwrite"
 
 
 def _no_motion(folder: Path) -> Problem:
     expected = "the folder of results that `recon fit` wrote"
-    if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
+    if (folder / REPORT).is_file() and (folder / CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"
         expected = f"results of this version: write them again with {_refit_command(folder)}"
         return Problem(folder, "folder", content, expected)

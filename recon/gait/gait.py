@@ -52,6 +52,8 @@ DUTY_MAJORITY = 2 / 3
 """Minimum fraction of the strides with a duty factor above one half in a walk, or below one half in a run."""
 
 
+NO_PERIOD = "no complete stride, and too little of a stride to determine its duration"
+"""Reason why the duration of a stride is unknown."""
 WHOLE_CLIP = "whole clip"
 
 
@@ -365,7 +367,7 @@ def name_gait(
     if why_unknown is None and (lacking := [foot for foot in FEET if not any(s.foot == foot for s in all_stances)]):
         why_unknown = f"no stance of {', '.join(lacking)}"
     if why_unknown is None and np.isnan(stride_s):
-        why_unknown = "no complete stride, and too little of a stride to determine its duration"
+        why_unknown = NO_PERIOD
     if why_unknown is not None:
         return _GaitName("unknown", why_unknown, dict.fromkeys(FEET, np.nan), *duty)
     period = float(np.median([s.duration_s for s in counted])) if counted else stride_s

@@ -31,7 +31,7 @@ from recon.base.arrays import Array, mean
 from recon.base.numbers import percent
 from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.fit.result import TrajectorySolution
-from recon.gait.gait import Gait, Stride
+from recon.gait.gait import NO_PERIOD, Gait, Stride
 from recon.gait.kinematics import JointKinematics
 from recon.gait.series import Errors
 from recon.gait.stances import Stance, interval_of
@@ -251,8 +251,9 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
     source: Origin = "period of the motion"
     period_s, period_sigma_s, positive = gait.stride_s, gait.stride_sigma_s, (0.0, np.inf)
     if np.isnan(period_s):
-        reason = "no complete stride, and too little of a stride to determine its duration"
-        yield from (_unknown(name, source, reason) for name in ("stride_s", "stride_length_m", "stride_frequency_hz"))
+        yield from (
+            _unknown(name, source, NO_PERIOD) for name in ("stride_s", "stride_length_m", "stride_frequency_hz")
+        )
         return
     yield _quantity("stride_s", period_s, period_sigma_s, 0.0, source, bounds=positive)
     length = speed.value * period_s

@@ -22,6 +22,8 @@ from recon.clip import Keypoints
 from recon.io.common import MAX_FRAME, cut_blank, text_rows, width_of
 from recon.io.writing import write_rows
 
+CORRECTIONS = "corrections.csv"
+"""Name of the file of corrections in a results folder."""
 COLUMNS = ("frame", "camera", "keypoint", "was_x_px", "was_y_px", "now_x_px", "now_y_px", "why", "when")
 REQUIRED = ("frame", "keypoint", "now_x_px", "now_y_px")
 _EXPECTED = f"a table of corrections with the columns {', '.join(REQUIRED)}, and camera if there are several cameras"

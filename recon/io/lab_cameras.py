@@ -36,7 +36,6 @@ from recon.io.camera_files import (
     without_inner,
 )
 
-EXTRINSICS = "extri.yml"
 _STEREO_ENDS = (("1", "2"), ("0", "1"), ("left", "right"), ("Left", "Right"), ("L", "R"), ("l", "r"))
 """Suffixes of the keys of the first and of the second camera in OpenCV's stereo files."""
 _STEREO_MATRIX = r"(?:K|M|cameraMatrix|camera_matrix|intrinsic_matrix|mtx)_?"

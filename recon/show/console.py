@@ -21,6 +21,8 @@ TO_DO = {
     "do not use": "Do not use these numbers. Correct the problem that the reason names, and fit again.",
 }
 """Advice for each level of a verdict except "use", which needs none."""
+_COLOURS = {"error": "red", "warning": "yellow"}
+"""Colour of each severity of findings on the terminal; notes have none."""
 FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
 """Labels of the lines that the summary on the terminal shows after the verdict. The HTML page shows all lines."""
 NOTES = 2
@@ -29,7 +31,7 @@ NOTES = 2
 
 def finding_text(severity: str, text: str) -> Text:
     """Return a finding in the colour of its severity (error, warning or note)."""
-    colour = {"error": "red", "warning": "yellow"}.get(severity, "")
+    colour = _COLOURS.get(severity, "")
     return Text.assemble((f"{severity}: ", f"bold {colour}".strip()), (text, colour))
 
 
@@ -49,7 +51,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
     further = [finding for number, finding in enumerate(report["findings"]) if number != stated]
     for finding in further:
         if finding["severity"] != "note":
-            colour = {"error": "red", "warning": "yellow"}[finding["severity"]]
+            colour = _COLOURS[finding["severity"]]
             table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
     if verdict["level"] == "use":
         for text in _largest_notes(further, verdict.get("reason_code")):

@@ -53,8 +53,3 @@ def spread(values: Array) -> dict[str, float]:
 def number(value: float | None, spec: str) -> str:
     """Return a number as a string for a summary, or "?" if it is unknown."""
     return "?" if value is None or math.isnan(value) else format(value, spec)
-
-
-def frame_count(n: int) -> str:
-    """Return a number of frames as a string, such as "1 frame" or "7 frames"."""
-    return "1 frame" if n == 1 else f"{n} frames"

@@ -23,7 +23,6 @@ from recon.show.sections import motion as motion_sections
 from recon.show.sections.section import Section
 
 SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 4
-REPORT = "report.json"
 
 SECTIONS: tuple[Section, ...] = (
     Section("verdict", verdict_fields, inputs.verdict_lines),

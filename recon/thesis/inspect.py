@@ -17,11 +17,12 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import block_diag
 
-from recon.api.clip_results import CONFIG, read_config
+from recon.api.clip_results import read_config
 from recon.base.arrays import Array, Bools, mean
 from recon.base.errors import InputError, Problem
 from recon.base.files import read_manifest, write_bytes
 from recon.fit.motion import Motion
+from recon.fit.motion_forms import CONFIG
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solution import FrameSolution
 from recon.thesis.solver import FrameSearch, FrameSolver, solve_frames, with_tolerance

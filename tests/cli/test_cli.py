@@ -26,13 +26,14 @@ import recon.show.tables
 import recon.show.view
 from recon import FitSettings, Motion, evaluate_files, read_settings
 from recon.animal.body import MIN_JOINTS
-from recon.api.clip_results import CONFIG, OUTPUT_FILES, output_files, read_config, write_clip
+from recon.api.clip_results import OUTPUT_FILES, output_files, read_config, write_clip
 from recon.base.arrays import to_plain
 from recon.base.numbers import percent
 from recon.base.outputs import RECORD, Output
 from recon.check.verdict import verdict_lines
 from recon.cli.answers import answer_of_fit, error_text, say, table_of, terminal
 from recon.cli.commands import help_of
+from recon.fit.motion_forms import CONFIG
 from recon.io.formats import read_keypoints
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"

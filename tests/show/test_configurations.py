@@ -11,7 +11,8 @@ from recon.animal.body import Side
 from recon.animal.skeleton_file import load_skeleton
 from recon.geometry.kinematics import YAW
 from recon.show import plots
-from recon.show.plots.configurations import SIDE_COLOURS, composites
+from recon.show.plots.configurations import composites
+from recon.show.plots.style import SIDE_COLOURS
 from recon.thesis.chain import load_chain
 
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}

@@ -204,7 +204,6 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
     return lines + [Line2D([], [], color=style.GREY, lw=0.8, label="ground")] * ground
 
 
-SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: style.COLOURS[-1]}
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _COLOUR_KEY = "left blue, right orange; pale: first configuration, full colour: last"
 _REFERENCE_KEY = "; +: the reference joint"
@@ -271,7 +270,7 @@ def body_fixed(
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     """Draw N paths of n points, `paths_m` (N, n, 2), from the palest colour to the full colour."""
     fraction = np.linspace(_MIN_COLOUR if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
-    colours = 1.0 - fraction * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
+    colours = 1.0 - fraction * (1.0 - np.array(to_rgb(style.SIDE_COLOURS[side])))
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
     lines = LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2)
     axes.add_collection(lines, autolim=False)
@@ -303,7 +302,7 @@ def views(body: Body, title: str = "") -> Figure:
         for axes, (view, coordinates) in zip(panels, VIEWS.items(), strict=True):
             _draw_limbs(axes, body, points[:, coordinates])
             for point, marker in zip(points[:, coordinates], body.markers, strict=True):
-                axes.plot(*point, ".", color=SIDE_COLOURS[body.side_of(marker)], markersize=4)
+                axes.plot(*point, ".", color=style.SIDE_COLOURS[body.side_of(marker)], markersize=4)
             _name(axes, points[:, coordinates], labels[view], length_m)
             _scale(axes, points[:, coordinates], length_m)
             _frame(axes)
@@ -346,7 +345,7 @@ def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None
         pieces = [
             [points[a], points[b], [np.nan, np.nan]] for a, b in pairwise(along) if shown is None or shown[[a, b]].any()
         ]
-        line_colour = colour or SIDE_COLOURS[sides[limb]]
+        line_colour = colour or style.SIDE_COLOURS[sides[limb]]
         axes.plot(*np.reshape(pieces, (-1, 2)).T, color=line_colour, linewidth=1.2, solid_capstyle="round")
 
 

@@ -20,16 +20,12 @@ COLUMNS = 3
 """Number of panels in a row of a figure as wide as a page."""
 NARROW_COLUMNS = 2
 """Number of panels in a row of a figure as wide as a column."""
-NARROW_MM = 120.0
-"""Largest width in mm of a figure that counts as one column wide."""
 _PANEL_MM = 42.0
 """Height in mm of a panel with its stance bars."""
 _AROUND_MM = 24.0
 """Height in mm of labels and legend around the panels."""
 _BARS = 0.16
 """Fraction of a panel's height that the stance bars below the curves take."""
-_COLOURS: dict[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}
-_BAND_ALPHA = 0.2
 
 
 def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
@@ -40,7 +36,7 @@ def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
     touch-down at 0 %.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]
-    columns = COLUMNS if style.page_width_mm() > NARROW_MM else NARROW_COLUMNS
+    columns = COLUMNS if style.page_width_mm() > style.NARROW_MM else NARROW_COLUMNS
     rows = -(-len(names) // columns)
     with style.drawing(rows * _PANEL_MM + _AROUND_MM, title=title or None) as figure:
         if not names:
@@ -67,7 +63,7 @@ def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
 
 
 def _draw_curve(axes: Axes, curve: StrideCurve) -> None:
-    colour, dashes = _COLOURS[curve.side], (0, (4, 1.2)) if curve.side == "left" else "-"
+    colour, dashes = style.SIDE_COLOURS[curve.side], (0, (4, 1.2)) if curve.side == "left" else "-"
     mean = np.degrees(curve.mean_rad)
     axes.plot(PERCENT, mean, color=colour, lw=1.3, linestyle=dashes, zorder=3)
     if curve.strides > 1:
@@ -83,7 +79,7 @@ def _draw_stances(axes: Axes, curves: Sequence[StrideCurve]) -> None:
     transform, height = axes.get_xaxis_transform(), _BARS / 2.6
     for row, curve in enumerate(curves):
         corner = 0.0, _BARS - (row + 1.15) * height
-        look = {"color": _COLOURS[curve.side], "alpha": 0.75, "lw": 0}
+        look = {"color": style.SIDE_COLOURS[curve.side], "alpha": 0.75, "lw": 0}
         axes.add_patch(Rectangle(corner, 100 * curve.duty_factor, 0.75 * height, transform=transform, **look))
     axes.axhline(low, color=style.PALE, lw=0.5, zorder=0)
 
@@ -98,9 +94,9 @@ def _add_legend(figure: Figure, curves: Sequence[StrideCurve]) -> None:
             strides = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
             dashes = (0, (4, 1.2)) if side == "left" else "-"
             text = f"{label}, {strides} stride{'s' * (counts[-1] > 1)}"
-            handles.append(Line2D([], [], color=_COLOURS[side], lw=1.3, linestyle=dashes, label=text))
+            handles.append(Line2D([], [], color=style.SIDE_COLOURS[side], lw=1.3, linestyle=dashes, label=text))
     if any(curve.strides > 1 for curve in curves):
-        handles.append(Patch(color=style.GREY, alpha=_BAND_ALPHA, lw=0, label="90 % between strides"))
+        handles.append(Patch(color=style.GREY, alpha=style.BAND_ALPHA, lw=0, label="90 % between strides"))
     if any(np.isfinite(curve.posterior_sigma_rad).any() for curve in curves):
         handles.append(Line2D([], [], color=style.GREY, lw=0.5, label="90 % from the fit's uncertainty"))
     handles.append(Patch(color=style.GREY, alpha=0.75, lw=0, label="bars: stance"))

@@ -15,13 +15,12 @@ from recon.base.arrays import Array, Bools, Index
 from recon.base.numbers import quantity
 from recon.gait.stances import Plane
 from recon.show.plots import style
-from recon.show.plots.configurations import SIDE_COLOURS, run_frame
+from recon.show.plots.configurations import run_frame
 
 POSES = 6
 """Number of poses in a row of a figure as wide as a page."""
 NARROW_POSES = 3
 """Number of poses in a row of a figure as wide as a column."""
-NARROW_MM = 120.0
 _POSE_SPACING = 1.1
 """Distance between the poses in a row, relative to the length of the longest pose."""
 _WIDTHS: Mapping[Side | None, float] = {"left": 1.0, "right": 1.0, None: 1.4}
@@ -63,7 +62,7 @@ def side_view(
         with style.drawing(40) as figure:
             return figure
     width_mm = style.page_width_mm()
-    per_line = POSES if width_mm > NARROW_MM else NARROW_POSES
+    per_line = POSES if width_mm > style.NARROW_MM else NARROW_POSES
     start_s, end_s = time_s[rows[0]], time_s[rows[-1]]
     wanted_s = start_s + np.arange(POSES) / POSES * (end_s - start_s)
     chosen = rows[[int(np.argmin(np.abs(time_s[rows] - at_s))) for at_s in wanted_s]]
@@ -98,7 +97,7 @@ def _draw_pose(axes: Axes, points: Array, limbs: Mapping[str, Sequence[int]], si
     """Draw the limbs of one pose from its joints (J, 2)."""
     for limb, joints in limbs.items():
         side = sides.get(limb)
-        look = {"color": SIDE_COLOURS[side], "lw": _WIDTHS[side], "zorder": 2 if side == "left" else 3}
+        look = {"color": style.SIDE_COLOURS[side], "lw": _WIDTHS[side], "zorder": 2 if side == "left" else 3}
         axes.plot(*points[list(joints)].T, linestyle=_dashes(side), **look)
 
 
@@ -106,7 +105,7 @@ def _add_sides(figure: Figure, present: set[Side | None]) -> None:
     """Add a legend of the sides of the limbs that are present."""
     names: dict[Side | None, str] = {"left": "left", "right": "right", None: "trunk, head and tail"}
     handles = [
-        Line2D([], [], color=SIDE_COLOURS[side], lw=_WIDTHS[side], label=label, linestyle=_dashes(side))
+        Line2D([], [], color=style.SIDE_COLOURS[side], lw=_WIDTHS[side], label=label, linestyle=_dashes(side))
         for side, label in names.items()
         if side in present
     ]

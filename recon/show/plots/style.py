@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -30,6 +30,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from recon.animal.body import Side
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
 from recon.fit.regions import radius
@@ -39,6 +40,8 @@ WIDTH_MM = 180.0
 """Width in mm of a figure as wide as a page."""
 COLUMN_MM = 85.0
 """Width in mm of a figure as wide as a column."""
+NARROW_MM = 120.0
+"""Largest width in mm of a figure that counts as one column wide."""
 PAGE_MM = 235.0
 """Height in mm of a page within its margins."""
 MM = 1 / 25.4
@@ -49,6 +52,8 @@ PRINT_DPI = 600
 """Resolution in dots per inch of a picture for print."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+SIDE_COLOURS: Mapping[Side | None, str] = {"left": COLOURS[0], "right": COLOURS[1], None: COLOURS[-1]}
+"""Colours of the left and the right side of the animal, and of the rest."""
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MAX_DOTS = 500
 """Maximum number of dots in a line. More dots would touch and take long to draw."""
@@ -215,12 +220,14 @@ def dots(count: int, size: float) -> dict[str, Any]:
 
 BAND_SIGMAS = radius(INTERVAL)
 """Half width of a 90 % band in standard deviations."""
+BAND_ALPHA = 0.2
+"""Opacity of a band."""
 
 
 def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str, least: float = 0.0) -> None:
     """Draw the 90 % band of a value (N,) from its standard deviation (N,), never below `least`."""
     _, low, high = interval_of(value, sigma)
-    axes.fill_between(time_s, np.maximum(low, least), high, color=colour, alpha=0.2, lw=0)
+    axes.fill_between(time_s, np.maximum(low, least), high, color=colour, alpha=BAND_ALPHA, lw=0)
 
 
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.arrays import finite, mean, median
-from recon.base.numbers import length_text, plus_minus
+from recon.base.numbers import counted, length_text, plus_minus
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.show.plain import file_name, number
@@ -67,8 +67,8 @@ def camera_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]:
     """Yield a line for each camera, unless there is only one."""
     for camera in data if len(data) > 1 else ():
         errors, points = camera["reprojection_px"], camera["points"]
-        outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"
         rejected = f", {points['rejected']} left out before the fit" if points["rejected"] else ""
+        outliers = counted(camera["outliers"], "outlier")
         yield (
             "camera",
             f"{camera['name']}: {camera['frames_seen']} of {motion.clip_frames} frames, {points['used']} points used"

@@ -14,10 +14,10 @@ from recon.check.codes import sentence
 from recon.check.verdict import verdict_lines as lines_of_verdict
 from recon.clip import COUNTS
 from recon.fit.constants import focal_sigma_of
-from recon.fit.motion import Motion
+from recon.fit.motion import Motion, trajectory_solution
 from recon.fit.result import TrajectorySolution
 from recon.show.plain import file_name, picked
-from recon.show.sections.motion import given_size, size_sources, trajectory_solution
+from recon.show.sections.motion import given_size, size_sources
 from recon.show.sections.section import Line
 
 MAX_SCORER_CHARACTERS = 60

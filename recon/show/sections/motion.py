@@ -11,7 +11,7 @@ import numpy as np
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.base.arrays import mean, median
 from recon.base.numbers import decimals, length_text, percent, plus_minus
-from recon.fit.motion import MEASURED_FRACTION, Motion
+from recon.fit.motion import MEASURED_FRACTION, Motion, trajectory_solution
 from recon.fit.result import SolvedShape, TrajectorySolution
 from recon.gait.kinematics import point_kinematics
 from recon.gait.series import frame_jitter_m, jitter_errors
@@ -21,12 +21,6 @@ from recon.show.sections.section import Line, camera_name
 
 SIZE_SOURCES = {"views": "the positions of the cameras", "ground": "the camera's height above the ground"}
 """Descriptions of the measurements that can determine the animal's size."""
-
-
-def trajectory_solution(motion: Motion) -> TrajectorySolution:
-    """Return the solution of the trajectory method."""
-    assert isinstance(motion.solution, TrajectorySolution)
-    return motion.solution
 
 
 def root_path_data(motion: Motion) -> dict[str, Any]:

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from recon.base.arrays import finite, mean, median
-from recon.base.numbers import length_text, plus_minus
+from recon.base.numbers import counted, length_text, plus_minus
 from recon.check.codes import FLAGS
 from recon.check.verdict import frame_rms_m
-from recon.fit.motion import Motion
-from recon.show.plain import frame_count
+from recon.fit.motion import Motion, trajectory_solution
 from recon.show.sections.keypoints import counts
-from recon.show.sections.motion import trajectory_solution
 from recon.show.sections.section import Line, camera_name
 
 CONVERGENCE = ("status", "iterations", "cost_by_term")
@@ -75,7 +73,8 @@ def alternative_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     elif not any(finding.code == "second_solution" for finding in motion.findings):
         text = f"a second solution differs by {length_text(data['mean_m'])} only"
     else:
-        text = f"another pose, {length_text(data['mean_m'])} away on average in {frame_count(data['frames'])}, fits "
+        frames = counted(data["frames"], "frame")
+        text = f"another pose, {length_text(data['mean_m'])} away on average in {frames}, fits "
         text += (
             "equally well; the data cannot decide which is right" if data["cost_difference"] < 1 else "nearly as well"
         )
