@@ -140,10 +140,12 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     if motion.jitters:
         yield "Paths and angles are smoothed according to their frame-to-frame jitter."
     if count := len(analysis.not_measured):
+        total = len(analysis.skeleton_angles)
+        angles = f"All {total} angles" if count == total else f"{count} of {total} angles"
+        names = "" if count == total else f": {', '.join(analysis.not_measured)}"
         yield (
-            f"{count} of {len(analysis.skeleton_angles)} angles come mostly from the prior (less than "
-            f"{percent(MEASURED_FRACTION)} of their precision from the pixels) and are grey in figures: "
-            f"{', '.join(analysis.not_measured)}."
+            f"{angles} have less than {percent(MEASURED_FRACTION)} of their precision from the pixels, the rest from "
+            f"the prior, and are grey in figures{names}."
         )
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted, so the gait cannot be named."

@@ -15,7 +15,7 @@ from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.camera_settings import CameraAdviceSettings
 from recon.base.errors import InputError, Problem
-from recon.base.numbers import percent, quantity
+from recon.base.numbers import decimals, percent, quantity
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
 from recon.base.settings import input_paths
@@ -55,9 +55,9 @@ def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
         fraction, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
         yield (
             f"Put {camera} {direction_text(*advice.position)}, "
-            f"{advice.distance_m * np.sin(advice.position[1]):.2g} m above its "
-            f"middle and {advice.distance_m:.3g} m away: {percent(fraction)} of the precision of {advice.target} "
-            f"comes from the pixels, ±{in_words(sigma, advice.unit)}."
+            f"{advice.distance_m * np.sin(advice.position[1]):.2g} m above its middle and "
+            f"{advice.distance_m:{decimals(advice.distance_m)}} m away: {percent(fraction)} of the precision of "
+            f"{advice.target} comes from the pixels, ±{in_words(sigma, advice.unit)}."
         )
     first = advice_by_camera[0]
     worst = np.unravel_index(int(np.argmax(first.sigma)), first.sigma.shape)

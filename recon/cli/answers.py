@@ -179,7 +179,7 @@ def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
 
     for line in verdict.lines if verdict else ():
         level = next((level for level in STYLES if line.startswith(f"{level}:")), "")
-        yield Text.assemble((level, STYLES.get(level, "")), line[len(level) :])
+        yield Text.assemble("" if level else "expected: ", (level, STYLES.get(level, "")), line[len(level) :])
 
 
 def table_of(

@@ -51,8 +51,8 @@ def console_summary(report: Mapping[str, Any]) -> Table:
     further = [finding for number, finding in enumerate(report["findings"]) if number != stated]
     for finding in further:
         if finding["severity"] != "note":
-            colour = _COLOURS[finding["severity"]]
-            table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
+            style = f"bold {_COLOURS[finding['severity']]}"
+            table.add_row(Text(finding["severity"], style), finding["text"])
     if verdict["level"] == "use":
         for text in _largest_notes(further, verdict.get("reason_code")):
             table.add_row(Text("note", style="bold"), text)

@@ -182,7 +182,7 @@ SENTENCES = {
     "too_fast": ("at 41 m/s, faster than any animal", {"speed_m_s": 41.2}),
     "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
     "frames_flagged": (
-        '42 of 42 frames have a flag, most of them "data poor": few joints. A camera',
+        '42 of 42 frames with a pose have a flag, most of them "data poor": few joints. A camera',
         {"count": 42, "frames_total": 42, "flag": "data poor", "meaning": "few joints"},
     ),
     "few_frames": ("A clip of 1 frame shows little", {"count": 1}),
@@ -311,7 +311,8 @@ def test_a_clip_with_a_flag_on_every_frame_is_reported(whole_results):
     assert named()[0] == named("left-right swap")[0] == "use"  # left-right swaps have their own finding
     level, reason = named("ambiguous depth", "left-right swap")
     assert level == "check"
-    assert says(reason, f"of {len(motion.frames)} frames have a flag", "ambiguous depth", "from the front or the back")
+    flagged = f"of {len(motion.frames)} frames with a pose have a flag"
+    assert says(reason, flagged, "ambiguous depth", "from the front or the back")
 
 
 def test_findings_are_saved_with_a_motion(small_trajectory, tmp_path):

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from recon.base.numbers import percent, quantity
+from recon.base.numbers import decimals, percent, quantity
 from recon.calibrate.board_calibration import Calibration, coverage
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import MEASURED_FRACTION
@@ -18,6 +18,8 @@ from recon.show.plots.configurations import SHARES, share_colours
 
 ROUND = {0: "ahead", 90: "left side", 180: "behind", 270: "right side"}
 _PANEL_MM, _BESIDE_MM = 52.0, 26.0
+WHOLE = 9.95
+"""Standard deviation in degrees or centimetres from which it is written without decimals."""
 
 
 def camera_advice(advices: Sequence[Advice]) -> Figure:
@@ -28,9 +30,8 @@ def camera_advice(advices: Sequence[Advice]) -> Figure:
     """
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]
-        figure.suptitle(
-            f"Uncertainty of {advices[0].target} by the position of a camera {advices[0].distance_m:.3g} m away"
-        )
+        target, length_m = advices[0].target.replace("_", " "), advices[0].distance_m
+        figure.suptitle(f"Uncertainty of {target} by the position of a camera {length_m:{decimals(length_m)}} m away")
         for number, (axes, advice) in enumerate(zip(panels, advices, strict=True), start=1):
             _grid(axes, advice)
             if len(advices) > 1:
@@ -67,7 +68,8 @@ def _grid(axes: Axes, advice: Advice) -> None:
 
 def in_words(sigma: float, unit: str) -> str:
     """Return a standard deviation as a string in degrees (unit "rad") or centimetres."""
-    return quantity(np.degrees(sigma), 1, "°") if unit == "rad" else f"{100 * sigma:.1f} cm"
+    value, name = (float(np.degrees(sigma)), "°") if unit == "rad" else (100 * sigma, "cm")
+    return quantity(value, 0 if value >= WHOLE else 1, name)
 
 
 def calibration(result: Calibration) -> Figure:
