@@ -29,7 +29,8 @@ FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
 MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
-MAX_DLT_BYTES = 1 << 14
+MAX_NUMBERS_BYTES = 1 << 14
+ROTATION_VECTOR = "a rotation vector in radians, along the axis and as long as the angle"
 KEYS_SHOWN = 160
 """Largest number of characters of a file's keys that a message shows."""
 
@@ -81,12 +82,10 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     path = Path(path)
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
     if path.suffix.lower() not in suffixes:
-        expected = f"a calibration file: {', '.join(suffixes)}"
-        kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}{_numbers_text(path)}"
-        raise InputError(Problem(path, "format", kind, expected))
-    program = _unsupported_format(path)
-    if program is not None:
-        raise InputError(Problem(path, "format", program, f"one of: {titles('cameras')}"))
+        raise InputError(Problem(path, "format", *_of_other_suffix(path, f"a calibration file: {', '.join(suffixes)}")))
+    unsupported = _unsupported_format(path)
+    if unsupported is not None:
+        raise InputError(Problem(path, "format", *unsupported))
     reader = recognised(path, "cameras")
     if reader is None:
         keys = _keys_text(parse_json(read_calibration(path), path))
@@ -109,41 +108,82 @@ def _inner_keys(value: object) -> str:
     return f" ({', '.join(map(str, table))})" if isinstance(table, dict) else ""
 
 
+_KEYS = "camera_matrix, distortion_coefficients, image_width, image_height, and R and T from world to camera"
+_BY_HAND = f"its values in JSON, one table for each camera: {_KEYS}"
 _OTHER_PROGRAMS = (
-    (r'"(ppx|ppy)"', "intrinsics of a RealSense camera; their lens model is the inverse of OpenCV's"),
-    (r'"(IntrinsicMatrix|RadialDistortion|RDistort)"', "MATLAB's camera parameters, whose matrix is transposed"),
-    (r'"(fl_x|camera_angle_x|transform_matrix)"', "nerfstudio's transforms.json, whose poses are from camera to world"),
-    (r"(?i)<(qualisys|qtm)|<calibration[^>]*(created|qtm)", "a Qualisys calibration"),
-    (r"<Camera [^>]*DEVICEID", "a Vicon calibration"),
-    (r"<chunk|<document[^>]*version", "a Metashape project or calibration"),
-    (r"(?ms)^cam0:\s*$.*^\s+(camera_model|cam_overlaps|distortion_coeffs|rostopic)\s*:", "a Kalibr camchain"),
+    (
+        r'"(ppx|ppy)"',
+        "intrinsics of a RealSense camera, whose lens model can be the inverse of OpenCV's",
+        "a calibration with a board (recon calibrate)",
+    ),
+    (
+        r'"(IntrinsicMatrix|RadialDistortion|RDistort)"',
+        "MATLAB's camera parameters, in the order of MATLAB",
+        f"{_BY_HAND}; transpose IntrinsicMatrix (not K), write the coefficients as RadialDistortion 1, 2, "
+        "TangentialDistortion 1, 2, RadialDistortion 3, and note that ImageSize is height, width",
+    ),
+    (
+        r'"(fl_x|camera_angle_x|transform_matrix)"',
+        "nerfstudio's or Blender's transforms.json, whose poses are from camera to world",
+        f"{_BY_HAND}, with y down and z ahead",
+    ),
+    (r"(?i)<(qualisys|qtm)|<calibration[^>]*(created|qtm)", "a Qualisys calibration", _BY_HAND),
+    (r"<Camera [^>]*DEVICEID", "a Vicon calibration", _BY_HAND),
+    (
+        r"<chunk|<document[^>]*version|<calibration>\s*<projection>",
+        "a Metashape project or calibration",
+        "OpenCV's XML: in Metashape, Tools > Camera Calibration > Save, as OpenCV",
+    ),
+    (
+        r"(?ms)\A(?!.*(matrix|\bK)\s*:).*^cam0:\s*$.*^\s+(camera_model|cam_overlaps|distortion_coeffs|rostopic)\s*:",
+        "a Kalibr camchain",
+        f"{_BY_HAND}; the world is that of cam0, and poses are products of T_cn_cnm1",
+    ),
 )
-"""Patterns of calibration files that recon cannot read, with a description of each format."""
+"""Patterns of calibration files that recon cannot read, each with a description, and what to give instead."""
+_OTHER_SUFFIXES = {
+    ".npz": ("an archive of NumPy", _BY_HAND),
+    ".npy": ("an array of NumPy", _BY_HAND),
+    ".pickle": ("a pickle, which can run code", _BY_HAND),
+    ".pkl": ("a pickle, which can run code", _BY_HAND),
+    ".xcp": ("a Vicon calibration", _BY_HAND),
+    ".bin": ("a binary COLMAP model", "a model as text, for a camera that moves: --camera-track"),
+}
+"""Calibration files that recon cannot read, by suffix, each with a description, and what to give instead."""
 DLT_COEFFICIENTS = 11
 ARGUS_NUMBERS = 12
 """Number of values of a camera in Argus' profile: index, focal length, size, centre, aspect, five coefficients."""
 
 
-def _unsupported_format(path: Path) -> str | None:
-    """Return the name of a known format that cannot be read, or None for any other file."""
+def _unsupported_format(path: Path) -> tuple[str, str] | None:
+    """Return the description of a known format that cannot be read, and what to give instead, or None."""
     if path.suffix.lower() == ".mat":
         require_file(path)
         return None
     text = read_calibration(path)
-    return next((name for pattern, name in _OTHER_PROGRAMS if re.search(pattern, text)), None)
+    return next(((name, instead) for pattern, name, instead in _OTHER_PROGRAMS if re.search(pattern, text)), None)
 
 
-def _numbers_text(path: Path) -> str:
-    """Return a hint if the file has DLT coefficients (a column for each camera) or Argus' profiles (a row for each)."""
-    if not path.is_file() or path.stat().st_size > MAX_DLT_BYTES:
-        return ""
+def _of_other_suffix(path: Path, expected: str) -> tuple[str, str]:
+    """Return the description of a file whose suffix is that of no calibration, and what to give instead."""
+    if path.is_dir():
+        return "a folder", expected
+    suffix = f"suffix {path.suffix!r}"
+    if path.suffix.lower() in _OTHER_SUFFIXES:
+        name, instead = _OTHER_SUFFIXES[path.suffix.lower()]
+        return f"{suffix}: {name}", instead
+    if not path.is_file() or path.stat().st_size > MAX_NUMBERS_BYTES:
+        return suffix, expected
     lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]
-    numeric = all(re.fullmatch(r"[-+0-9.eE,;\s]+", line) for line in lines)
-    if not numeric or not lines:
-        return ""
+    if any(re.match(r"#\s*CAMERA_ID, MODEL", line) for line in lines):
+        return f"{suffix}: cameras of COLMAP", f"--camera-track, if the camera moves; otherwise {_BY_HAND}"
+    if not lines or not all(re.fullmatch(r"[-+0-9.eE,;\s]+", line) for line in lines):
+        return suffix, expected
     if {len(line.split()) for line in lines} == {ARGUS_NUMBERS}:
-        return ": a camera profile of Argus, which holds no pose"
-    return ": DLT coefficients, which hold no lens" if len(lines) == DLT_COEFFICIENTS else ""
+        return f"{suffix}: a camera profile of Argus, which holds no pose", _BY_HAND
+    if len(lines) == DLT_COEFFICIENTS:
+        return f"{suffix}: DLT coefficients, which hold no lens", _BY_HAND
+    return suffix, expected
 
 
 def cameras_of(
@@ -261,6 +301,9 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
         arguments[field] = _numbers(values.get(field))
         if arguments[field] is None and values.get(field) is not None:
             faults[field] = "data that is not an array of numbers", expected
+    rotation = arguments.get("rotation")
+    if rotation is not None and rotation.size == 3 and np.linalg.norm(rotation) > 2 * np.pi:
+        faults["rotation"] = f"a vector of length {np.linalg.norm(rotation):.3g}, perhaps in degrees", ROTATION_VECTOR
     arguments["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
     faults |= {"image_size_px": fault} if fault else {}
     # the matrix could not be computed for an unknown lens model, which is the only problem to report
@@ -320,7 +363,8 @@ def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[in
     expected = "the image size: width and height in pixels"
     if value is None:
         return stated or (1, 1), None if stated else ("nothing", f"{expected}, in the file or by --image-size")
-    array = _numbers(value)
+    sides = [int(side) for side in re.findall(r"\d{1,9}", value)] if isinstance(value, str) else value  # 1920x1080
+    array = _numbers(sides)
     if array is None or array.shape != (2,) or not ((array > 0) & (array < MAX_SIZE_PX)).all() or (array % 1).any():
         return (1, 1), (str(value), expected)
     width, height = map(int, array)

@@ -26,12 +26,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tomli_w
 
+from recon.base.arrays import Array
 from recon.base.documents import Json, parse_json, parse_toml
 from recon.base.errors import InputError, Problem
 from recon.base.files import write_text
-from recon.geometry.camera import Camera
+from recon.geometry.camera import Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS, lens_named
-from recon.io.calibration import FORMAT, KEYS_SHOWN, VERSION, CameraRecord, read_calibration
+from recon.io.calibration import FORMAT, KEYS_SHOWN, ROTATION_TOLERANCE, VERSION, CameraRecord, read_calibration
 from recon.io.common import number
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ POSE_KEYS = (
     *("camera_to_world", "cam2world", "c2w", "pose", "camera_pose", "transform", "transform_matrix"),
 )
 """Keys of a pose given as one matrix, whose direction differs between programs."""
+_OTHER_POSE = re.compile(r"q|quat\w*|euler\w*|orientation|c|eye|(cam(era)?)?(pos(ition)?|cent(er|re)|location)")
+"""Pattern of plain keys of a camera's position, or of its direction in numbers other than a matrix or a vector."""
 LENS_KEYS = (
     *("distortion_model", "camera_model", "projection_model", "distortion_type", "lens_model", "model", "lens"),
     *("camera_type", "projection", "lens_type", "model_type", "projection_type", "type"),
@@ -174,16 +177,39 @@ def _values_from_scalars(table: Mapping[str, Any], distortion: object) -> dict[s
 
 
 def require_separate_pose(path: Path, table: Mapping[str, Any], record: CameraRecord) -> None:
-    """Raise InputError for a pose in one matrix, which may be from world to camera or the other way round."""
-    if record.values["rotation"] is not None or record.values["translation_m"] is not None:
+    """Raise InputError for a pose that is not stated by R and t, because it would be left out silently.
+
+    It may be in one matrix, which is from world to camera or the other way round, or be the camera's position.
+    """
+    stated = [record.values[field] is not None for field in ("rotation", "translation_m")]
+    if all(stated):
         return
-    key = key_in(table, POSE_KEYS)
-    value = (
-        np.asarray(_block(table[key])) if key is not None and isinstance(table[key], list | Mapping) else np.zeros(0)
-    )
-    if key is not None and value.size in (12, 16):
+    matrix = None if any(stated) else next((key for key, value in table.items() if _is_pose(key, value)), None)
+    if matrix is not None:
         expected = "R and t from world to camera; if the matrix is from camera to world, invert it first"
-        raise InputError(Problem(path, f"{record.location}{key}", "a pose in one matrix", expected))
+        raise InputError(Problem(path, f"{record.location}{matrix}", "a pose in one matrix", expected))
+    for key, value in table.items():
+        if _OTHER_POSE.fullmatch(plain_key(key)) and _array(value).size in (3, 4):
+            expected = "R and t from world to camera, where t is -R times the camera's position"
+            raise InputError(Problem(path, f"{record.location}{key}", "a pose without R or without t", expected))
+
+
+def _is_pose(key: str, value: object) -> bool:
+    """Return whether a value is a pose in one matrix, by its key or its numbers."""
+    array = _array(value)
+    if array.size not in (12, 16):
+        return False
+    turn = array.reshape(-1, 4)[:3, :3]  # a projection matrix has the lens here
+    return plain_key(key) in {plain_key(name) for name in POSE_KEYS} or is_rotation(turn, ROTATION_TOLERANCE)
+
+
+def _array(value: object) -> Array:
+    """Return a block of numbers as an array, which is empty for anything else."""
+    try:
+        array = np.asarray(_block(value) if isinstance(value, list | Mapping) else [])
+    except ValueError:  # rows of different lengths
+        return np.zeros(0)
+    return array.astype(float) if array.dtype.kind in "iuf" else np.zeros(0)
 
 
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
@@ -382,7 +408,8 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
     size = size_in(document)
     if size is not None:
         stated["image_size_px"] = size
-    if key_in(document, ("R",)) is not None and key_in(document, ALIASES["translation_m"]) is None:
+    is_ros = key_in(document, ("distortion_model", "P", "projection_matrix")) is not None
+    if is_ros and key_in(document, ("R",)) is not None and key_in(document, ALIASES["translation_m"]) is None:
         stated["rotation"] = None  # the R of ROS is a rectification, not a pose
     record = record_of(document.get("camera_name"), "", document, **stated)
     require_lens(path, document, record)
@@ -403,6 +430,8 @@ def document_of(path: Path) -> dict[str, Any]:
         document = parse_json(text, path)
     else:  # OpenCV sometimes writes invalid JSON, with whole numbers as "1."
         document = _read_file_storage(path, text)
+    if isinstance(document, list) and document and all(isinstance(table, dict) for table in document):
+        return {"cameras": document}
     if not isinstance(document, dict):
         raise InputError(Problem(path, "content", "no keys", "keys such as camera_matrix and distortion_coefficients"))
     return document
@@ -463,6 +492,7 @@ def _read_file_storage(path: Path, text: str) -> Json:
     if path.suffix.lower() in (".yaml", ".yml"):
         # OpenCV 4 and 5 write different headers, and ROS writes none. All versions of OpenCV read the header below.
         text = re.sub(r"\A(\s*#[^\n]*\n|\s*\n)*(%YAML[^\n]*\n)?(---[^\n]*\n)?", "", text)
+        text = re.sub(r"(?m)^---\s*\Z", "", text)  # ends a message that ROS 2 has printed
         text = "%YAML:1.0\n---\n" + _with_indented_lists(text)
     if _nesting(text) > MAX_NESTING:
         raise InputError(Problem(path, "content", "lists or tables that are nested too deeply", "a calibration"))

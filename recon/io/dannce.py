@@ -85,7 +85,14 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
         if isinstance(table, dict) and "K" in table
     ]
     if not tables:
-        raise InputError(Problem(path, "params", "no cameras", "K, r, t, RDistort and TDistort of each"))
+        raise InputError(
+            Problem(
+                path,
+                "params",
+                "no cameras of DANNCE",
+                "K, r, t, RDistort and TDistort of each, or other calibrations in JSON",
+            )
+        )
     names = _all_texts(variables.get("camnames"))
     records = []
     for i, table in enumerate(tables):

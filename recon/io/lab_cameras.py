@@ -55,7 +55,8 @@ def recognises_tables(path: Path) -> bool:
 
 def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Return the cameras of a JSON or YAML file that has a table for each camera."""
-    tables = _tables_of(document_of(path))
+    document = document_of(path)
+    tables = _tables_of(document)
     records = []
     for name, location, table in tables:
         z_up = table.get("world_z_up", False)  # OpenCV's YAML has no booleans
@@ -63,7 +64,17 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
     for record, (_, _, table) in zip(records, tables, strict=True):
         require_lens(path, table, record)
         require_separate_pose(path, table, record)
+    outside = next((key for key, value in document.items() if key != "cameras" and _has_poses(value)), None)
+    if outside is not None and all(record.values["rotation"] is None for record in records):
+        expected = "R and t of each camera, from world to camera, in its table"
+        raise InputError(Problem(path, outside, "poses outside the cameras' tables", expected))
     return records
+
+
+def _has_poses(value: object) -> bool:
+    """Return whether a value is a table of tables that have a rotation and no camera matrix, as multical writes."""
+    tables = [table for table in value.values() if isinstance(table, Mapping)] if isinstance(value, Mapping) else []
+    return any(key_in(table, ALIASES["rotation"]) is not None and not has_matrix(table) for table in tables)
 
 
 def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:

@@ -8,6 +8,7 @@ import tomli_w
 from command_line import refusal
 from scipy.spatial.transform import Rotation
 
+from recon.base.errors import InputError
 from recon.geometry.camera import Camera
 from recon.io.calibration import read_camera, read_cameras
 from recon.io.camera_files import write_camera
@@ -478,6 +479,52 @@ class TestLayoutsOfLabs:
         field = key if alone else f"A.{key}"
         refuses(write(name, table if alone else {"A": table}), (field, "one matrix", "world to camera"))
 
+    @pytest.mark.parametrize("key", ["T_cam_world", "T_WC"])
+    def test_a_pose_in_one_matrix_is_found_by_its_numbers(self, write, key):
+        """A matrix of a rotation and a translation is a pose under any key, and a projection matrix is not."""
+        values = {"K": K, "D": RADTAN, "size": SIZE, "P": np.column_stack([K, [0, 0, 0]]).tolist()}
+        assert not read_camera(write("a.json", values)).has_extrinsics
+        refuses(write("b.json", values | {key: np.column_stack([R, T]).tolist()}), (key, "one matrix"))
+
+    @pytest.mark.parametrize("key", ["position", "C", "camera_center"])
+    @pytest.mark.parametrize("turn", [{"R": R.tolist()}, {"quaternion": [0.1, 0.2, 0.3, 0.9]}, {}])
+    def test_a_position_of_the_camera_is_not_left_out(self, write, key, turn):
+        table = {"K": K, "D": RADTAN, "size": SIZE, **turn, key: [1.0, 2.0, 3.0]}
+        field = "quaternion" if "quaternion" in turn else key
+        refuses(write("a.json", table), (field, "without R or without t", "-R times"))
+        refuses(write("b.json", {"left": table}), (f"left.{field}", "without R or without t"))
+        refuses(write("c.json", table | {"distortion_model": "plumb_bob"}), (field, "without R or without t"))
+
+    def test_a_rotation_alone_is_refused_without_signs_of_ros(self, write):
+        values = {"K": K, "D": RADTAN, "size": SIZE, "R": R.tolist()}
+        refuses(write("a.json", values), ("translation", "nothing"))
+
+    def test_poses_outside_the_tables_of_cameras_are_not_left_out(self, write):
+        """Poses that multical writes beside the cameras are refused."""
+        cameras = {"a": {"model": "standard", "image_size": SIZE, "K": K, "dist": [RADTAN]}}
+        assert not read_camera(write("a.json", {"cameras": cameras})).has_extrinsics
+        poses = {"a": {"R": np.eye(3).tolist(), "T": [0, 0, 0]}, "b_to_a": {"R": R.tolist(), "T": T}}
+        refuses(write("b.json", {"cameras": cameras, "camera_poses": poses}), ("camera_poses", "outside"))
+
+    def test_a_list_of_tables(self, write):
+        """A list of cameras with Anipose's keys, as of AIST++, is read like tables by name."""
+        table = anipose("a")["a"]
+        cameras = read_cameras(write("setting1.json", json.dumps([table, table | {"name": "b"}])))
+        assert [camera.name for camera in cameras] == ["a", "b"]
+        for camera in cameras:
+            assert_camera(camera, RADTAN, "radtan", posed=True, world_z_up=False)
+
+    def test_degrees_are_no_rotation_vector(self, write):
+        """A rotation vector is at most one turn long; longer ones are probably in degrees."""
+        values = {"K": K, "D": RADTAN, "size": SIZE, "rotation": [-95.2, 3.0, 1.2], "translation": T}
+        refuses(write("a.json", values), ("rotation", "in degrees", "radians"))
+
+    @pytest.mark.parametrize("size", ["1920x1080", "1920 x 1080", "1920, 1080"])
+    def test_size_as_text(self, write, size):
+        path = write("a.json", {"K": K, "D": RADTAN, "resolution": size})
+        assert_camera(read_camera(path), RADTAN, "radtan", world_z_up=False)
+        refuses(write("b.json", {"K": K, "D": RADTAN, "resolution": "full HD"}), ("resolution", "full HD"))
+
     @pytest.mark.parametrize("by_name", [False, True])
     def test_tables_in_json(self, write, by_name):
         """Tables in JSON such as CMU Panoptic's have the stated lens, and not z up like AcinoSet's files."""
@@ -517,6 +564,11 @@ class TestLayoutsOfLabs:
         values = {"K": K, "D": FISHEYE, "width": 1920, "height": 1080, **more}
         refuses(write("a.json", values), expected)
 
+    def test_message_that_ros_2_printed(self, write):
+        """The line --- at the end of a message is no further document."""
+        text = f"width: 1920\nheight: 1080\ndistortion_model: plumb_bob\nk: {np.ravel(K).tolist()}\nd: {RADTAN}\n---\n"
+        assert_camera(read_camera(write("a.yaml", text)), RADTAN, "radtan", world_z_up=False)
+
     def test_region_and_binning_of_ros(self, write):
         """The region's corner shifts the principal point, and binning divides it, as in ROS' image_geometry."""
         text = f"width: 1920\nheight: 1080\nK: {np.ravel(K).tolist()}\nD: {RADTAN}\nbinning_x: 2\nbinning_y: 0\n"
@@ -534,10 +586,25 @@ class TestLayoutsOfLabs:
             ("a.yaml", "cam0:\n  camera_model: pinhole\n", "Kalibr"),
             ("a.csv", "1,2\n" * 11, "DLT coefficients"),
             ("a.txt", "1 1600 1920 1080 960 540 1 0 0 0 0 0\n" * 2, "Argus"),
+            ("cameras.txt", "# Camera list\n#   CAMERA_ID, MODEL, WIDTH\n1 OPENCV 1920 1080 9 9 9 9\n", "COLMAP"),
+            ("a.xml", "<?xml version='1.0'?>\n<calibration>\n <projection>frame</projection>", "Metashape"),
+            ("a.json", '{"ImageSize": [1080, 1920], "RadialDistortion": [0, 0]}', "MATLAB"),
+            *(
+                (f"a{suffix}", "x", found)
+                for suffix, found in ((".npz", "NumPy"), (".pkl", "pickle"), (".XCP", "Vicon"))
+            ),
         ],
     )
     def test_other_programs_are_named(self, write, name, text, found):
+        """Files that recon cannot read are named, with what to give instead of a list of all formats."""
         refuses(write(name, text), ("format", found))
+        with pytest.raises(InputError) as error:
+            read_cameras(write(name, text))
+        assert "Anipose" not in str(error.value)
+
+    def test_a_table_called_cam0_is_not_always_kalibrs(self, write):
+        text = f"cam0:\n  camera_matrix: {K}\n  distortion_coeffs: {RADTAN}\n  image_size: {list(SIZE)}\n"
+        assert_camera(read_camera(write("a.yaml", text)), RADTAN, "radtan", world_z_up=False)
 
     def test_keys_that_a_file_has_are_named(self, write):
         values = opencv_values(camera_matrix=None, distortion_coefficients=None) | {"Kmat": K}
