@@ -39,7 +39,21 @@ if TYPE_CHECKING:
 Columns = Mapping[str, Any]
 """Columns of a table, keyed by name, as sequences of strings or arrays of numbers."""
 ROLES: dict[str, tuple[str, ...]] = {
-    "frame": ("frame", "frames", "frame_idx", "frame_index", "frame_id", "frame_number", "framenumber", "fnum"),
+    "frame": (
+        "frame",
+        "frames",
+        "frame_idx",
+        "frame_index",
+        "frame_id",
+        "frame_number",
+        "framenumber",
+        "fnum",
+        "frame number",
+        "frame #",
+        "frame#",
+        "frame no",
+        "frame nr",
+    ),
     "time": ("time", "times", "seconds", "timestamp", "timestamps", "t"),
     "bodypart": ("bodypart", "body_part", "keypoint", "node", "joint", "marker", "landmark", "part", "point", "name"),
     "individual": (
@@ -312,6 +326,9 @@ def points_of_columns(
     if "z" in coords and "bodypart" not in role:
         flat = [bodypart for bodypart in index if (bodypart, "z") not in columns]
         cells.problems += [Problem(path, f"bodypart {bodypart}", "no z", ", ".join(coords)) for bodypart in flat]
+    if "z" not in coords and layout.unit not in (None, "px"):
+        expected = "pixels of the picture (x, y), or a column z of 3D positions"
+        cells.problems.append(Problem(path, "columns", f"2D positions in {layout.unit}", expected))
     cells.raise_problems()
     left_out = layout.ignored if column_map is None else ()
     notes = (f"Columns left out: {', '.join(left_out)}.",) if left_out else ()
@@ -332,7 +349,8 @@ def _required_layout(path: Path, table: Columns, column_map: Mapping[str, str] |
         expected = "the columns frame, bodypart, x, y, or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
         detail = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
         if not absent and column_map is None and _layout(["frame", *table], _by_name):
-            detail, expected = f"no frame and no time in {detail}", "a column frame, or a column time in seconds"
+            detail = f"no frame and no time in {detail}"
+            expected = "a column frame, or a column time in seconds; or a map of columns (recon convert --columns)"
         raise InputError(Problem(path, "columns", detail, expected))
     return layout
 

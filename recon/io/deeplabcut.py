@@ -220,13 +220,15 @@ def points_of_table(
     """
     named = [dict(zip(levels, label, strict=True)) for label in labels]
     columns, blank_notes = _stripped(named)
+    kept, extra_notes = _without_extra(columns)
+    named, columns, values = [named[j] for j in kept], [columns[j] for j in kept], values[:, kept]
     frames, images, frame_problems = _frame_numbers(path, rows)
     raise_problems(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
     columns = _with_animals_of_prefixes(columns)
     _require_one_scorer(path, [n.get("scorer", "").strip() for n in named], columns)
     columns, values, repeat_notes = _without_repeats(columns, values)
     animal, animal_columns, choice_notes = _choose_animal(path, columns, values, individual)
-    notes = (*blank_notes, *repeat_notes, *choice_notes)
+    notes = (*blank_notes, *extra_notes, *repeat_notes, *choice_notes)
     order = np.argsort(frames, kind="stable")
     if (np.diff(order) < 0).any():
         values = values[order]
@@ -275,6 +277,20 @@ def _stripped(named: Sequence[Mapping[str | None, str]]) -> tuple[list[Column], 
         spaced |= dict.fromkeys(name for name in (animal, bodypart) if name != name.strip())
         columns.append((animal.strip(), bodypart.strip(), texts["coords"].strip()))
     return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in spaced)
+
+
+def _without_extra(columns: Sequence[Column]) -> tuple[list[int], tuple[str, ...]]:
+    """Return the indices of the columns to read, and a note on the others.
+
+    Columns of further values of a point, such as the variances that an ensemble Kalman smoother writes, are left out if
+    the point has a position and a likelihood.
+    """
+    coords: dict[tuple[str, str], set[str]] = {}
+    for animal, bodypart, coord in columns:
+        coords.setdefault((animal, bodypart), set()).add(coord)
+    kept = [j for j, (*point, c) in enumerate(columns) if c in COORDS or not coords[tuple(point)] >= {*COORDS_2D}]
+    extra = dict.fromkeys(columns[j][2] for j in range(len(columns)) if j not in {*kept})
+    return kept, (f"Columns left out: {', '.join(extra)}.",) if extra else ()
 
 
 def _with_animals_of_prefixes(columns: list[Column]) -> list[Column]:

@@ -527,6 +527,25 @@ _UNREAD = (
     (b"PK\x03\x04", "a ZIP archive, or a document of Office", "CSV: save the table as CSV"),
 )
 """First bytes of files that recon cannot read, with a description and, if known, what to export instead."""
+_UNREAD_MARKUP = (
+    (rb'\s*\[\s*\{\s*"bodyparts"', "DeepLabCut's JSON of predictions", "its table of the same video: .h5 or .csv"),
+    (
+        rb'\s*\[\s*\{\s*"(frame_id|instances|keypoints)"',
+        "MMPose's predictions without names of the keypoints",
+        "MMPose's file with meta_info, which its demo scripts write (--save-predictions)",
+    ),
+    (
+        rb'\s*\[\s*\{\s*"id"\s*:\s*\d+\s*,\s*"(annotations|data|img|image|video|file_upload)"',
+        "an export of Label Studio, whose positions are in percent",
+        "a CSV with the columns frame, bodypart, x, y, in pixels",
+    ),
+    (
+        rb"\s*<\?xml[^>]*>\s*<annotations>",
+        "CVAT's XML",
+        "COCO: in CVAT, export the task as COCO Keypoints",
+    ),
+)
+"""Beginnings of JSON and XML that recon cannot read, each with a description, and what to give instead."""
 _SLEAP_PROJECT = {"metadata", "frames"}
 _SLEAP_EXPORT = "SLEAP's analysis HDF5: in SLEAP, File > Export Analysis HDF5, or sleap-convert --format analysis"
 
@@ -549,6 +568,9 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
         if outline(path) >= _SLEAP_PROJECT:
             return "a SLEAP project", _SLEAP_EXPORT
         return "an HDF5 file in an unknown layout", expected
+    for pattern, name, instead in _UNREAD_MARKUP:
+        if re.match(pattern, head.removeprefix(b"\xef\xbb\xbf")):
+            return name, instead
     for start, name, instead in _UNREAD:
         if head.removeprefix(b"\xef\xbb\xbf").startswith(start):
             return name, instead or expected
@@ -574,5 +596,9 @@ def _describe_head(head: bytes) -> str:
     if not text:
         return "a file of only spaces and empty lines"
     first = text.splitlines()[0]
-    hint = " (the first cells of DeepLabCut's header are scorer, bodyparts, coords)" if first.startswith(",") else ""
+    hint = ""
+    if first.startswith(","):
+        hint = " (the first cells of DeepLabCut's header are scorer, bodyparts, coords)"
+    elif re.match(r"(?!scorer)\w[^,;\t]*([,;\t][^,;\t]*){2}", first, re.IGNORECASE):
+        hint = " (if it is a table, recon convert --columns names its columns)"
     return f"a file that begins with '{first[:40]}'{hint}"

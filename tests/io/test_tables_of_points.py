@@ -54,6 +54,19 @@ def test_plain_csv_of_several_animals(tmp_path):
     assert (found.individual, found.frames.tolist(), found.xy_px[:, 0].tolist()) == ("m2", [0, 1], [[3, 4], [5, 6]])
 
 
+def test_numbers_of_frames_as_they_are_called_in_spreadsheets(tmp_path):
+    for name in ("Frame #", "frame number", "Frame No"):
+        assert read_keypoints(save(tmp_path / "a.csv", f"{name},nose_x,nose_y\n3,1,2\n")).frames.tolist() == [3]
+
+
+@pytest.mark.parametrize("unit", ["mm", "cm", "m"])
+def test_positions_in_space_without_z_are_no_pixels(tmp_path, unit):
+    refuses(
+        save(tmp_path / "a.csv", f"frame,nose_x_{unit},nose_y_{unit}\n0,1,2\n"), ("columns", f"in {unit}", "pixels")
+    )
+    refuses(save(tmp_path / "b.csv", f"frame,node,x_{unit},y_{unit}\n0,a,1,2\n"), ("columns", f"in {unit}", "pixels"))
+
+
 def test_unknown_columns_are_reported(tmp_path):
     found = read_keypoints(save(tmp_path / "a.csv", "frame,nose_x,nose_y,speed\n0,1,2,3\n"))
     assert [says(note, "left out: speed") for note in found.notes] == [True]
@@ -199,6 +212,22 @@ def test_an_index_of_pandas(index, tmp_path):
     path.write_text("nose_x,nose_y,tail_x,tail_y\n1,2,3,4\n")
     with refusal((path, "columns", ["no frame and no time", "nose_x"], "a column frame")):
         read_keypoints(path)
+
+
+def test_further_values_of_a_point_are_left_out(tmp_path):
+    """The medians and variances that an ensemble Kalman smoother adds are not read, and named."""
+    coords = ("x", "y", "likelihood", "x_ens_median", "y_posterior_var")
+    rows = [["scorer"] + ["ensemble-kalman_tracker"] * 10, ["bodyparts"] + ["nose"] * 5 + ["tail"] * 5]
+    rows += [["coords", *coords, *coords], ["0", *map(str, range(10, 20))]]
+    rows[3][3] = rows[3][8] = "0.5"
+    path = save(tmp_path / "a.csv", "\n".join(",".join(row) for row in rows) + "\n")
+    found = read_keypoints(path)
+    assert (found.names, found.xy_px.tolist()) == (("nose", "tail"), [[[10, 11], [15, 16]]])
+    assert found.confidence.tolist() == [[0.5, 0.5]]
+    assert found.notes == ("Columns left out: x_ens_median, y_posterior_var.",)
+    # without a likelihood, an unknown coordinate may be a likelihood under another name
+    path.write_text(path.read_text().replace("likelihood", "likely"))
+    refuses(path, ("column nose/likely", "coordinate 'likely'"), *[("column nose/" + c, c) for c in coords[3:]])
 
 
 TABLE = ["scorer,net,net,net,net", "bodyparts,nose,nose,tail,tail", "coords,x,y,x,y", "0,1.5,2.25,3,4", "1,5,6,,8.5"]
@@ -375,6 +404,11 @@ def test_alphapose(tmp_path):
         (b"\x80\x04\x95\x00\x00", ("a pickle", ".h5 or .csv")),
         (b'{"0.jpg": {"version": "AlphaPose v0.3", "bodies": []}}', ("AlphaPose's results", "AlphaPose's own")),
         (b"%PDF-1.7 and more", ("a PDF", "DeepLabCut CSV")),
+        (b'[{"bodyparts": [[[1, 2, 0.5]]]}]', ("DeepLabCut's JSON", ".h5 or .csv")),
+        (b'[{"frame_id": 0, "instances": []}]', ("MMPose's predictions without names", "meta_info")),
+        (b'[{"id": 4, "annotations": []}]', ("Label Studio", "in pixels")),
+        (b'<?xml version="1.0" encoding="utf-8"?>\n<annotations>', ("CVAT", "COCO Keypoints")),
+        (b"Bild;Punkt;x;y\n1;nose;2;3\n", ("begins with 'Bild", "DeepLabCut CSV")),
     ],
 )
 def test_files_of_other_programs_are_named(content, expected, tmp_path):
