@@ -207,7 +207,3 @@ class FreeShape:
         names = [segment.name for segment in body.tree.segments]
         by_offset = rotations[:, [names.index(marker.segment) for marker in body.tree.markers]]
         return self.lengths.jacobian(body, states, rotations), by_offset
-
-    def by_length(self, shared: Mapping[str, Array], states: Array) -> Array:
-        """Return the derivatives (N, J, 3, L) of the markers with respect to the lengths, at given states (N, D)."""
-        return self.lengths.jacobian(self.applied(shared), states)

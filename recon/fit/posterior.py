@@ -147,8 +147,6 @@ class Curvature:
     """Precision S of all shared unknowns, with the states eliminated, shape (1 + P, 1 + P)."""
     shared_gradient: Array
     """Gradient of the cost by the shared unknowns, with the states at their minimum, shape (1 + P,)."""
-    expected_precision: Array
-    """Contribution of each shared unknown's prior to its precision, shape (1 + P,)."""
     covariance_root: Array
     """Cholesky factor of the covariance of the unknowns other than the size, for a given size, shape (P, P)."""
     others_by_size: Array
@@ -198,9 +196,8 @@ def curvature(
     """Return the curvature of a problem at its solution, with the nuisance unknowns free.
 
     The variance of the common keypoint bias is estimated from the detections. Either of two cameras may have been
-    turned or moved, which makes their poses more uncertain (`recon.fit.pair_poses`). `expected_precision` does not
-    include this uncertainty. `normal` holds the problem's normal equations with the nuisance unknowns, if they have
-    been computed already.
+    turned or moved, which makes their poses more uncertain (`recon.fit.pair_poses`). `normal` holds the problem's
+    normal equations with the nuisance unknowns, if they have been computed already.
     """
     problem = _with_free_nuisance(problem)
     shared_curvature = _shared_curvature(problem, estimate, variance_factor, normal)
@@ -217,7 +214,6 @@ def curvature(
         eliminated=shared_curvature.windows,
         shared_precision=S,
         shared_gradient=shared_curvature.gradient,
-        expected_precision=shared_curvature.expected_precision,
         covariance_root=np.asarray(np.linalg.cholesky(others_covariance), dtype=float),
         others_by_size=others_by_size,
         size_precision=max(size_precision, 0.0),
@@ -274,11 +270,9 @@ def pair_poses_of(problem: LeastSquares, estimate: Estimate, variance_factor: fl
     """Return the hypotheses about the poses of two cameras at a minimum; None unless both poses are unknowns."""
     problem, normal = _with_reestimated_noise(problem, estimate, variance_factor)
     problem = _with_free_nuisance(problem)
+    shared_curvature = _shared_curvature(problem, estimate, variance_factor, normal)
     shared = problem.expected() | dict(estimate.shared)
-    normals = problem.normals(estimate.states, shared)() if normal is None else [normal]
-    reduced = np.sum([window.reduced() for window in eliminated(normals, bounded=True)], axis=0)
-    S, _, _ = _with_likely_bias(problem, estimate, reduced, variance_factor)
-    return pair_poses(problem, shared, (S, reduced[:, -1]), variance_factor)
+    return pair_poses(problem, shared, (shared_curvature.precision, shared_curvature.gradient), variance_factor)
 
 
 def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:
@@ -473,6 +467,7 @@ def _joint_covariances(
     covariance of both. The joint's covariance is X V X'.
     """
     n, J, root = len(states), len(body.markers), at_minimum.covariance_root
+    shape = Shape.of_body(body)
     absolute, relative, by_size = np.empty((n, J, 3, 3)), np.empty((n, J, 3, 3)), np.empty((n, J, 3))
     for first in range(0, n, _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
@@ -483,7 +478,7 @@ def _joint_covariances(
         by_size[rows] = pose.points_m + size * (X @ state_by_size[rows, None, :, None])[..., 0]
         if at_minimum.lengths is not None:
             root_of_lengths = root[at_minimum.lengths]
-            by_length = Shape.of_body(body).jacobian(body, states[rows])
+            by_length = shape.jacobian(body, states[rows])
             by_size[rows] += size * by_length @ at_minimum.others_by_size[at_minimum.lengths]
             X = np.concatenate([X, by_length], axis=3)
             across = root_of_states @ -root_of_lengths.T

@@ -490,10 +490,10 @@ Moved = tuple[Array, Array, Array]
 """Markers, axes of the rotations, and derivatives, as `Tree.moved` returns them."""
 
 
-def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
+def derivatives_of(tree: Tree, moved_now: Moved) -> tuple[Array, Array, Callable[[Array], Array]]:
     """Return the first and second derivatives of the markers for one state (D,), for inverse kinematics.
 
-    The tree must not have summed joints.
+    `moved_now` is the result of `Tree.moved` for this state.
 
     Returns
     -------
@@ -504,11 +504,6 @@ def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array
     curvature : function
         Function that returns the weighted sum (D - 3, D - 3) of the markers' second derivatives, given weights (J, 3).
     """
-    return derivatives_of(tree, tree.moved(state[None], np.ones(1)))
-
-
-def derivatives_of(tree: Tree, moved_now: Moved) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """Return the result of `derivatives` for one state, given the result of `Tree.moved`."""
     plan, J = tree.plan, len(tree.markers)
     _, axes, moved = moved_now
     axes, moved = axes[..., 0], moved[..., 0]

@@ -118,7 +118,7 @@ class SerialChain:
 
     def joint_axes(self, q: Array) -> Array:
         """Return unit vectors (n, 3) along the joint axes, in the base frame, of a chain that `joint_chain` made."""
-        return derivatives_of(self.tree, self._moved(q))[1].copy()
+        return self._moved(q)[1][..., 0].copy()
 
     def geometric_jacobian(self, q: Array) -> Array:
         """Return the geometric Jacobian (6, n) of a chain that `joint_chain` made.
