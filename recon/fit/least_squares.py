@@ -43,10 +43,10 @@ _FRAMES_AT_ONCE = 128
 _PIECE_S = 5.5
 """Time (s) between frames at which they hardly influence each other, so that a long clip can be solved in pieces."""
 _FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-4, 1e6
-_MIN_EXTENSION_GAIN = 0.1
-"""Minimum expected decrease of the cost for which a step is extended.
+_MIN_EXCESS, _MAX_EXCESS = 0.1, 0.5
+"""Minimum and maximum excess of a step's decrease of the cost over half the slope with which the step is extended.
 
-The unit is the decrease at which the search ends.
+The unit of the minimum is the decrease at which the search ends, and of the maximum the cost.
 """
 _MAX_EXTENSION = 4.0
 """Maximum factor by which a step is extended."""
@@ -124,6 +124,8 @@ class LeastSquares:
         """Return the prior means of the shared unknowns, as a dictionary whose keys are their names."""
         return {unknown.name: unknown.mean for unknown in self.shared}
 
+    # The cost
+
     def costs(self, states: Array, shared: Mapping[str, Array] | None = None) -> dict[str, float]:
         """Return the cost of each term and of each shared unknown's prior, keyed by the name of the term or unknown."""
         shared = self.expected() if shared is None else shared
@@ -144,23 +146,24 @@ class LeastSquares:
         return replace(self, linear=linear, terms=terms, shared=(), nuisance=())
 
     def squares(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> float:
-        """Return the sum of the squared residuals of all terms.
+        """Return the sum of the squared residuals of all terms, none of which may be a `Heading` or a term of the feet.
 
         Terms that are not linear count only in the frames `rows`.
         """
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
-        jacobian = any(isinstance(term, MARKER_TERMS) and not isinstance(term, Reprojection) for term in self.terms)
-        for span in self.spans(states, self.expected() if shared is None else shared, jacobian, rows):
+        for span in self.spans(states, self.expected() if shared is None else shared, jacobian=False, rows=rows):
             for term in self.terms:
-                term_rows = (
-                    term.point_rows(span) if isinstance(term, Reprojection) else term.evaluate(span, jacobian=True)
-                )
+                # The residuals of detections do not need the markers' derivatives, which take long.
+                is_camera = isinstance(term, Reprojection)
+                term_rows = term.point_rows(span) if is_camera else term.evaluate(span, jacobian=True)
                 total += float(np.sum(term_rows.residual**2))
         return total
 
     def cost(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
         """Return the cost of all terms and of the priors of the shared unknowns."""
         return sum(self.costs(states, shared).values())
+
+    # The normal equations
 
     def normal(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> Normal:
         """Return the normal equations of the frames `rows` at given values of the unknowns, with other frames fixed."""
@@ -244,14 +247,12 @@ class LeastSquares:
         feet = [term for term in self.terms if isinstance(term, FOOT_TERMS) and cameras and span.rotations is None]
         merged: list[Term] = [*cameras, *feet]
         if cameras:
-            every_camera, every_foot = (
-                [term.point_rows(span) for term in cameras],
-                [term.foot_rows(span) for term in feet],
-            )
+            every_camera = [camera.point_rows(span) for camera in cameras]
+            every_foot = [foot.foot_rows(span) for foot in feet]
             cost += add_markers(sums, self.columns, every_camera, every_foot, span, start, by_shape)
         by_stencil: dict[tuple[int, ...], list[TermRows]] = {}
         for term in self.terms:
-            if any(term is camera for camera in merged):
+            if any(term is merged_term for merged_term in merged):
                 continue
             if isinstance(term, PoseMixture):
                 frames = slice(first, first + span.own_rows.stop)
@@ -264,6 +265,8 @@ class LeastSquares:
             add_normal(sums.blocks, sums.gradient, first, stencil, rows.residual, rows.jacobian)
             _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, stencil, rows)
         return cost
+
+    # The search
 
     def minimise(
         self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
@@ -293,9 +296,8 @@ class LeastSquares:
         """Return the current estimate and one of lower cost along a step, whether its step is whole, and a damping.
 
         The current estimate may come without its cost (NaN), and is returned with it. The other estimate is None if no
-        damping leads to a lower cost. Its step is whole if it was not shortened. A step is extended only if this lowers
-        the cost by more than `_MIN_EXTENSION_GAIN` times the decrease at which the search ends. The damping is that of
-        the next step.
+        damping leads to a lower cost. Its step is whole if it was not shortened. If the cost curves less along a whole
+        step than in the quadratic model, a longer step is tried as well. The damping is that of the next step.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MAX_DAMPING:
@@ -309,10 +311,10 @@ class LeastSquares:
                         next_damping = max(damping * (0.2 if fraction == 1.0 else 0.6), _MIN_DAMPING)
                         if fraction < 1.0:
                             return current, trial, False, next_damping
-                        # If the cost fell by more than half the slope, it curves less than its quadratic model.
-                        beyond = current.cost - trial.cost + 0.5 * slope
-                        least = _MIN_EXTENSION_GAIN * _enough(current.cost, tolerance)
-                        if least < beyond < _enough(current.cost, 0.5):
+                        # The cost of the quadratic model falls by half the slope.
+                        excess = current.cost - trial.cost + 0.5 * slope
+                        least = _MIN_EXCESS * _enough(current.cost, tolerance)
+                        if least < excess < _enough(current.cost, _MAX_EXCESS):
                             length = _best_length(current.cost - trial.cost, slope)
                             further = self._moved(current, states_step, shared_step, length)
                             trial = further if further.cost < trial.cost else trial
@@ -324,19 +326,21 @@ class LeastSquares:
             current = replace(current, cost=self.cost(current.states, current.shared))
         return current, None, False, damping
 
-    def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
-        """Return the values of the unknowns after a fraction of a step, with their cost.
+    def _moved(self, current: Estimate, states_step: Array, shared_step: Array, length: float) -> Estimate:
+        """Return the values of the unknowns after a step times `length`, with their cost.
 
         If there are several cameras, which determine the animal's position in the world, this position changes linearly
         along the step (`with_step`). With one camera, the root at nominal size changes linearly instead, because the
         picture depends more on the root than on the size.
         """
-        shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
+        shared = {name: current.shared[name] + length * shared_step[columns] for name, columns in self.columns.items()}
         sizes = size_of(current.shared), size_of(shared)
         if sum(isinstance(term, Reprojection) for term in self.terms) < 2:
             sizes = 1.0, 1.0
-        states = with_step(current.states, share * states_step, *sizes)
+        states = with_step(current.states, length * states_step, *sizes)
         return replace(current, states=states, cost=self.cost(states, shared), shared=shared)
+
+    # Spans of frames, and linear terms
 
     def spans(
         self, states: Array, shared: Mapping[str, Array], jacobian: bool, rows: slice = slice(None)
@@ -375,9 +379,9 @@ class LeastSquares:
         frames, curvature = np.arange(start, start + len(blocks)), self._linear_kinds
         if len(curvature) >= T:
             curvature, kinds = self._linear_curvature(T), frames
-        else:
+        else:  # the first and last frames have their own kinds, and all frames between them the kind BANDS
             kinds = np.where(frames < BANDS, frames, np.maximum(BANDS, frames - T + len(curvature)))
-        curvature.take(kinds, axis=0, out=blocks, mode="clip")
+        curvature.take(kinds, axis=0, out=blocks, mode="clip")  # the default mode writes through a buffer
 
     @cached_property
     def _linear_kinds(self) -> Array:

@@ -471,6 +471,7 @@ class Reprojection:
         return self._rows_of(span, scene, self._errors(scene, span, jacobian=True))
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
+        """Return the weighted residuals of the detections with their derivatives, from the errors."""
         view, weight = scene.view, self.weights_of(scene, errors)
         by_point = errors.by_point * weight[..., None, None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
@@ -491,6 +492,7 @@ class Reprojection:
         return PointRows(errors.cost, residual, by_point * scene.size, by_shared, self.number, by_bias)
 
     def _errors(self, scene: Scene, span: Span, jacobian: bool) -> ReprojectionErrors:
+        """Project the markers, and return their distances from the detections with the cost of these errors."""
         view = scene.view
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(scene.world_m)

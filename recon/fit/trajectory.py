@@ -120,6 +120,15 @@ def solve_trajectory(
     return solution if start is None else _with_misfit_of(start, solution)
 
 
+def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[SegmentFit]:
+    """Solve the segments of a clip, which long gaps without detections separate."""
+    segments = _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps)
+    return [
+        _solve_segment(clip.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(segments)))
+        for i, rows in enumerate(segments)
+    ]
+
+
 def _segments(usable: Bools, fps: float) -> list[slice]:
     """Return the parts of the clip that are solved separately, as slices of its frames."""
     seen_frames = np.flatnonzero(usable)
@@ -133,13 +142,94 @@ def _segments(usable: Bools, fps: float) -> list[slice]:
     ]
 
 
-def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[SegmentFit]:
-    """Solve the segments of a clip, which long gaps without detections separate."""
-    segments = _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps)
-    return [
-        _solve_segment(clip.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(segments)))
-        for i, rows in enumerate(segments)
-    ]
+def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
+    """Solve one segment without an earlier solution, from the search for starts to the last estimate of the noise."""
+    options, T = clip.options, len(clip)
+    rounds = constants.NOISE_ROUNDS
+    if options.fast:  # if the shape is estimated, a first round is needed to estimate the noise
+        rounds = 1 if clip.shape is None or not clip.solves_shape else 2
+    windows = _windows(clip, progress)
+    iterations = sum(start.iterations for _, starts in windows for start in starts)
+
+    temperatures: list[float | None] = [None] if len(windows) > 1 else []
+    if not options.fast and len(clip.prior.weights) > 1:
+        temperatures += _TEMPERATURES
+    first_states = [(frames, starts[0].states) for frames, starts in windows]
+    start_frames = np.concatenate([np.arange(T)[frames] for frames, _ in first_states])
+    estimate = Estimate(
+        interpolate_states(np.concatenate([states for _, states in first_states]), start_frames, T), np.inf, 0, False
+    )
+    segment = _solve_flattened(clip, SegmentFit.unsolved(clip, rows, estimate), temperatures)
+    rounds_began = STARTS_END + (ROUNDS_END - STARTS_END) * FLATTENED_FRACTION
+    progress("whole clip", rounds_began)
+    if options.refine_cameras:  # the ground under a motion seen by misplaced cameras would keep them misplaced
+        segment = solve_round(replace(clip.without_ground(), shape=None), segment)
+    for i in range(rounds):
+        is_last = i == rounds - 1
+        # A shape measured with the detector is close enough for the first round.
+        keeps_shape = i == 0 and clip.detector_is_measured
+        segment = solve_round(replace(clip, shape=None) if keeps_shape else clip, segment, roughly=not is_last)
+        if LENGTHS in segment.estimate.shared:
+            clip = clip.with_likely_shape_spread(segment.estimate.shared)
+        if not is_last:
+            clip = _with_likely_accelerations(clip, segment)
+        unsettled = segment.prior_misfit is None or (segment.prior_weight < 1 and not is_last)
+        if unsettled and clip.prior.name != NONE:
+            misfit = prior_misfit_of(segment.problem, segment.estimate)
+            clip = replace(clip, prior_weight=clip.prior_weight * misfit.prior_weight)
+            segment = replace(segment, prior_misfit=segment.prior_misfit or misfit, prior_weight=clip.prior_weight)
+        progress("whole clip", rounds_began + (ROUNDS_END - rounds_began) * (i + 1) / rounds)
+    # The only round of a fast fit gave the prior its full weight.
+    more_rounds = 1 if rounds == 1 and segment.prior_weight < 1 else 0
+    if segment.prior_misfit is not None and segment.prior_misfit.unlike:
+        more_rounds = _MORE_ROUNDS
+    for _ in range(more_rounds):
+        segment = solve_round(clip, segment)
+    return replace(segment, windows=windows, iterations=segment.iterations + iterations)
+
+
+def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Estimate]]]:
+    """Return the frames and the starts of every window that has detections."""
+    windows, is_present, T = [], clip.present(), len(clip)
+    windows_of_frames = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
+    for i, window_frames in enumerate(windows_of_frames):
+        frames = slice(int(window_frames[0]), int(window_frames[-1]) + 1)
+        if np.any(is_present[frames].sum(axis=1) >= MIN_JOINTS):
+            windows.append((frames, approach(clip.part(frames))))
+        progress("starts", STARTS_END * (i + 1) / len(windows_of_frames))
+    return windows
+
+
+def _solve_flattened(clip: ClipProblem, segment: SegmentFit, temperatures: Sequence[float | None]) -> SegmentFit:
+    """Solve a segment at a lower frame rate with a mixture of poses, flattened by each of several temperatures.
+
+    A temperature of None means a single Gaussian of poses.
+    """
+    if not temperatures:
+        return segment
+    step, T = max(1, round(clip.fps / APPROACH_HZ)), len(clip)
+    kept_frames, thin = np.arange(0, T, step), replace(clip.thinned(step), shape=None)
+    estimate, iterations = segment.estimate, 0
+    estimate = replace(estimate, states=estimate.states[kept_frames])
+    for temperature in temperatures:
+        points, size = thin.markers(estimate.states), size_of(estimate.shared)
+        problem = thin.problem(thin.noise_px(points, segment.noise, size), temperature, (), points, size)
+        shared = problem.expected() | dict(estimate.shared)
+        estimate = problem.minimise(estimate.states, _FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS, shared)
+        iterations += estimate.iterations
+    offsets = {time_offset(i) for i in range(len(clip.views))}
+    shared = {name: step * values if name in offsets else values for name, values in estimate.shared.items()}
+    estimate = replace(estimate, states=interpolate_states(estimate.states, kept_frames, T), shared=shared)
+    return replace(segment, estimate=estimate, iterations=segment.iterations + iterations)
+
+
+def _with_likely_accelerations(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
+    """Return the problem with the likeliest spread of accelerations, if several cameras and no prior determine it."""
+    if len(clip.views) == 1 or clip.prior.name != NONE or clip.known_states is not None:
+        return clip
+    scale = clip.acceleration_scale if clip.acceleration_scale is not None else np.ones(clip.body.n_state)
+    scale = likely_scale(segment.problem, segment.estimate.states, segment.estimate.shared, scale)
+    return replace(clip, acceleration_scale=scale)
 
 
 def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[SegmentFit]:
@@ -228,90 +318,3 @@ def _without_shape(segment: SegmentFit) -> SegmentFit:
         name: values for name, values in segment.estimate.shared.items() if name not in (LENGTHS, COMMON_KEYPOINT_BIAS)
     }
     return replace(segment, estimate=replace(segment.estimate, shared=shared))
-
-
-def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
-    """Solve one segment without an earlier solution, from the search for starts to the last estimate of the noise."""
-    options, T = clip.options, len(clip)
-    rounds = constants.NOISE_ROUNDS
-    if options.fast:  # if the shape is estimated, a first round is needed to estimate the noise
-        rounds = 1 if clip.shape is None or not clip.solves_shape else 2
-    windows = _windows(clip, progress)
-    iterations = sum(start.iterations for _, starts in windows for start in starts)
-
-    temperatures: list[float | None] = [None] if len(windows) > 1 else []
-    if not options.fast and len(clip.prior.weights) > 1:
-        temperatures += _TEMPERATURES
-    first_states = [(frames, starts[0].states) for frames, starts in windows]
-    start_frames = np.concatenate([np.arange(T)[frames] for frames, _ in first_states])
-    estimate = Estimate(
-        interpolate_states(np.concatenate([states for _, states in first_states]), start_frames, T), np.inf, 0, False
-    )
-    segment = _solve_flattened(clip, SegmentFit.unsolved(clip, rows, estimate), temperatures)
-    rounds_began = STARTS_END + (ROUNDS_END - STARTS_END) * FLATTENED_FRACTION
-    progress("whole clip", rounds_began)
-    if options.refine_cameras:  # the ground under a motion seen by misplaced cameras would keep them misplaced
-        segment = solve_round(replace(clip.without_ground(), shape=None), segment)
-    for i in range(rounds):
-        is_last = i == rounds - 1
-        # A shape measured with the detector is close enough for the first round.
-        keeps_shape = i == 0 and clip.detector_is_measured
-        segment = solve_round(replace(clip, shape=None) if keeps_shape else clip, segment, roughly=not is_last)
-        if LENGTHS in segment.estimate.shared:
-            clip = clip.with_likely_shape_spread(segment.estimate.shared)
-        if not is_last:
-            clip = _with_likely_accelerations(clip, segment)
-        unsettled = segment.prior_misfit is None or (segment.prior_weight < 1 and not is_last)
-        if unsettled and clip.prior.name != NONE:
-            misfit = prior_misfit_of(segment.problem, segment.estimate)
-            clip = replace(clip, prior_weight=clip.prior_weight * misfit.prior_weight)
-            segment = replace(segment, prior_misfit=segment.prior_misfit or misfit, prior_weight=clip.prior_weight)
-        progress("whole clip", rounds_began + (ROUNDS_END - rounds_began) * (i + 1) / rounds)
-    settled = segment.prior_misfit is None or not segment.prior_misfit.unlike
-    for _ in range(int(rounds == 1 and segment.prior_weight < 1) if settled else _MORE_ROUNDS):
-        segment = solve_round(clip, segment)
-    return replace(segment, windows=windows, iterations=segment.iterations + iterations)
-
-
-def _solve_flattened(clip: ClipProblem, segment: SegmentFit, temperatures: Sequence[float | None]) -> SegmentFit:
-    """Solve a segment at a lower frame rate with a mixture of poses, flattened by each of several temperatures.
-
-    A temperature of None means a single Gaussian of poses.
-    """
-    if not temperatures:
-        return segment
-    step, T = max(1, round(clip.fps / APPROACH_HZ)), len(clip)
-    kept_frames, thin = np.arange(0, T, step), replace(clip.thinned(step), shape=None)
-    estimate, iterations = segment.estimate, 0
-    estimate = replace(estimate, states=estimate.states[kept_frames])
-    for temperature in temperatures:
-        points, size = thin.markers(estimate.states), size_of(estimate.shared)
-        problem = thin.problem(thin.noise_px(points, segment.noise, size), temperature, (), points, size)
-        shared = problem.expected() | dict(estimate.shared)
-        estimate = problem.minimise(estimate.states, _FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS, shared)
-        iterations += estimate.iterations
-    offsets = {time_offset(i) for i in range(len(clip.views))}
-    shared = {name: step * values if name in offsets else values for name, values in estimate.shared.items()}
-    estimate = replace(estimate, states=interpolate_states(estimate.states, kept_frames, T), shared=shared)
-    return replace(segment, estimate=estimate, iterations=segment.iterations + iterations)
-
-
-def _with_likely_accelerations(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem with the likeliest spread of accelerations, if several cameras and no prior determine it."""
-    if len(clip.views) == 1 or clip.prior.name != NONE or clip.known_states is not None:
-        return clip
-    scale = clip.acceleration_scale if clip.acceleration_scale is not None else np.ones(clip.body.n_state)
-    scale = likely_scale(segment.problem, segment.estimate.states, segment.estimate.shared, scale)
-    return replace(clip, acceleration_scale=scale)
-
-
-def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Estimate]]]:
-    """Return the frames and the starts of every window that has detections."""
-    windows, is_present, T = [], clip.present(), len(clip)
-    windows_of_frames = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
-    for i, window_frames in enumerate(windows_of_frames):
-        frames = slice(int(window_frames[0]), int(window_frames[-1]) + 1)
-        if np.any(is_present[frames].sum(axis=1) >= MIN_JOINTS):
-            windows.append((frames, approach(clip.part(frames))))
-        progress("starts", STARTS_END * (i + 1) / len(windows_of_frames))
-    return windows
