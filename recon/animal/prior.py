@@ -64,15 +64,15 @@ class MotionPrior:
     angles: tuple[str, ...]
     """Names of the A angles, which are `state_names[4:]` of the body."""
     weights: Array
-    """Weights of the Gaussian mixture of the poses, shape (K,).
-
-    The means have the shape (K, A), rad, and the covariances (K, A, A), rad^2.
-    """
+    """Weights of the Gaussians in the mixture of poses, shape (K,), which add up to 1."""
     means: Array
+    """Means of the Gaussians in the mixture, shape (K, A), rad."""
     covariances: Array
+    """Covariances of the Gaussians in the mixture, shape (K, A, A), rad^2."""
     mean: Array
-    """Mean of a single Gaussian of the same poses, shape (A,). Its covariance has the shape (A, A)."""
+    """Mean of a single Gaussian of the same poses, shape (A,), rad."""
     covariance: Array
+    """Covariance of the single Gaussian, shape (A, A), rad^2."""
     drift: Array
     """Matrix of the linear model of accelerations, d2z/dt2 = drift @ [z - mean, dz/dt] + noise, shape (A, 2A)."""
     acceleration_covariance: Array

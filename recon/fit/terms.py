@@ -50,6 +50,15 @@ LENGTHS = "segment lengths"
 """Name of the shared unknowns (L,) that are logarithms of factors on lengths, the same on both sides."""
 SIDESLIP = "sideslip"
 """Name of the shared unknown angle from the animal's trunk to its direction of travel, rad, positive to the left."""
+REFERENCE_HZ = 90.0
+"""Frame rate (Hz) at which the weights of the priors are 1 for each frame."""
+OUT_OF_SIGHT = 50.0
+"""Loss, in units of c^2 / 2, of a detected joint that the camera cannot project, for example behind it."""
+POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
+PRIOR_TERMS = POSE, MOTION
+"""Names of the terms of the prior. The terms of the body's own prior have the same names."""
+ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
+"""Names of the terms that penalise accelerations."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
 
 
@@ -92,17 +101,6 @@ def with_step(states: Array, step: Array, size: float, next_size: float) -> Arra
     moved = states + step
     moved[:, ROOT] = states[:, ROOT] + size / next_size * step[:, ROOT]
     return moved
-
-
-REFERENCE_HZ = 90.0
-"""Frame rate (Hz) at which the weights of the priors are 1 for each frame."""
-OUT_OF_SIGHT = 50.0
-"""Loss, in units of c^2 / 2, of a detected joint that the camera cannot project, for example behind it."""
-POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
-PRIOR_TERMS = POSE, MOTION
-"""Names of the terms of the prior. The terms of the body's own prior have the same names."""
-ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
-"""Names of the terms that penalise accelerations."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ about the first camera's centre (`recon.fit.terms`). The size follows from its p
 ground's distance below the camera if they determine it. The steps to the minimum are:
 
 1. Starts. The prior's mean pose runs straight through about a second of the clip, in 18 headings, and is fitted to the
-viewing rays (`recon.fit.starts`). The two best headings, and the best one mirrored in depth, start the clip.
+viewing rays (`recon.fit.starts`). The two best headings start the clip. With one camera, the best heading mirrored in
+depth is a third start.
 2. Approach, at a lower frame rate. Each start is solved with one Gaussian of poses and with noise that is large at
 first. Only the two best starts are solved down to the final noise.
 3. The mixture of poses replaces the Gaussian, flattened at first, still at the lower frame rate.
