@@ -368,7 +368,7 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
     correlation_frames, n = clip.correlation_frames, len(usual_sigma)
     normals = problem.normals(segment.estimate.states, problem.expected() | dict(segment.estimate.shared))
     windows = eliminated(normals(), bounded=True)
-    reduced = np.sum([window.reduced() for window in windows], axis=0) / (correlation_frames**0.5) ** 2
+    reduced = np.sum([window.reduced() for window in windows], axis=0) / correlation_frames
     by_others = np.linalg.solve(reduced[n:, n:-1], np.delete(reduced[n:], np.s_[n:-1], axis=1))
     remaining = np.delete(reduced[:n], np.s_[n:-1], axis=1) - reduced[:n, n:-1] @ by_others
     precision = remaining[:, :n]
