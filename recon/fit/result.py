@@ -45,7 +45,7 @@ LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
 """Levels of a verdict, the worst first."""
 
 
-_NEGLIGIBLE = 0.1
+NEGLIGIBLE = 0.1
 """Minimum ratio of an interval's lower end to its upper end for which the text gives both ends."""
 
 
@@ -73,7 +73,7 @@ class ExpectedError(Brief):
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
         cause = f", if {self.widened_if or f'the finding {self.widened_by} is right'}" if self.widened_by else ""
         ends = error.expected, error.low, error.high
-        return interval(*ends, unit, level="90 %", least=_NEGLIGIBLE * error.high, remark=cause)
+        return interval(*ends, unit, level="90 %", least=NEGLIGIBLE * error.high, remark=cause)
 
     def times(self, factor: float) -> ExpectedError:
         """Return the error multiplied by a factor, to convert its unit."""

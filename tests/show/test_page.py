@@ -291,7 +291,7 @@ def batch(folder, tmp_path_factory) -> Path:
             row |= {"verdict": verdicts.get(name, ""), "reason": "why not"}
             if name == "good":
                 row |= {"reason": "Good except for this", "pose_mm": 51.2, "pose_mm_low": 33.6, "pose_mm_high": 77}
-                row |= {"corrected": 23}
+                row |= {"position_m": 0.59, "position_m_low": 0.04, "position_m_high": 3.98, "corrected": 23}
             writer.writerow(
                 row
                 if status != "failed"
@@ -324,6 +324,7 @@ def test_the_table_of_a_batch_begins_with_clips_to_check(batch):
     assert page.text.count("why not") == 2
     assert "useGood except for this" in page.text
     assert "51(34 to 77)" in page.text
+    assert "0.6(at most 4.0)" in page.text
     assert "corrected by hand" in page.text
     assert rows[-1].count("<div>23</div>") == 1
     assert "a.csv: <b>no</b>" in page.text

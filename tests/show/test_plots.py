@@ -492,6 +492,13 @@ def test_a_constant_angle_is_drawn_as_constant():
     assert axes.xaxis.get_offset_text().get_text() == ""
 
 
+def test_stances_of_a_long_clip_stay_visible():
+    gait = gaits()["ground"]
+    tracks = replace(gait.tracks, time_s=100 * gait.tracks.time_s)  # bars are narrower than the lines on them
+    assert "complete stride" in texts(plots.footfall({"ground": gait}, FPS))
+    assert "complete stride" not in texts(plots.footfall({"ground": replace(gait, tracks=tracks)}, FPS))
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("laid_out")
 def test_portraits_fit_on_a_page(figures):

@@ -27,7 +27,7 @@ from recon.base.package import version
 from recon.check.codes import FLAGS
 from recon.check.verdict import reason_in_list, verdict_lines
 from recon.fit.motion import Motion
-from recon.fit.result import LEVELS
+from recon.fit.result import LEVELS, NEGLIGIBLE
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import validity_text
 from recon.gait.kinematics import JointKinematics
@@ -260,7 +260,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     yield _group("Speed", text, [speeds({name: reference_motion}, **speed_options)], "narrow")
     if gait is not None:
         text = "Times at which each foot is in stance, determined from its speed over the ground and its height."
-        yield _group("Footfalls", text, [footfall({"gait": gait}, motion.fps)])
+        yield _group("Footfalls", text, [footfall({"gait": gait}, motion.fps, has_caption=False)])
         if analysis.flexion_curves:
             text = (
                 "Mean flexion over the strides, from touch-down (0 %) to touch-down; 0° is straight. Left: blue and "
@@ -301,7 +301,7 @@ NUMBERS = {
     "median_px": ("median keypoint error, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),
     "peak_speed_m_s": ("peak m/s", ".1f"),
-    "size": ("size", ".2f"),
+    "size": ("size, × skeleton", ".2f"),
 }
 """Columns of summary.csv that the table shows, with headings and formats.
 
@@ -370,8 +370,8 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     state = cells["status"] if cells["status"] in FIRST_STATUSES else cells["verdict"]
     numbers = dict[str, list[str]]()
     for name, (_, spec) in NUMBERS.items():
-        texts = [format(float(x), spec) for end in ("", "_low", "_high") if (x := cells.get(name + end))]
-        numbers[name] = [texts[0], f"({' to '.join(texts[1:])})"] if len(texts) > 1 else texts
+        value, *ends = (float(x) if (x := cells.get(name + end)) else math.nan for end in ("", "_low", "_high"))
+        numbers[name] = _with_interval(value, *ends, spec) if math.isfinite(value) else []
     mean_px, middle_px = (float(cells.get(name) or 0) for name in ("mean_reprojection_px", "median_px"))
     if has_far_mean := bool(middle_px) and mean_px > FAR_MEAN * middle_px:
         numbers["median_px"] = [*numbers["median_px"], f"mean {mean_px:.0f}"]
@@ -389,6 +389,15 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
+def _with_interval(value: float, low: float, high: float, spec: str) -> list[str]:
+    """Return a number and, if it has one, its interval, as text. An interval that begins near 0 has only its end."""
+    spec = ".1f" if spec == ".2f" and high >= 1 else spec
+    if not math.isfinite(high):
+        return [f"{value:{spec}}"]
+    ends = f"at most {high:{spec}}" if low <= NEGLIGIBLE * high else f"{low:{spec}} to {high:{spec}}"
+    return [f"{value:{spec}}", f"({ends})"]
+
+
 def median_error_px(motion: Motion) -> float:
     """Return the median distance in pixels between detections and pose over all cameras, NaN without detections."""
     errors_px = np.concatenate([finite(picture.distance_px) for picture in motion.pictures])
@@ -402,6 +411,7 @@ def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str
         return None
     low, high = min(values.values()), max(values.values())
     width, height = DOTS_PX
+    spec = NUMBERS[name][1]
     columns = Counter[int]()
     dots = []
     for clip in sorted(clips, key=lambda clip: values.get(clip["cells"]["clip"], 0.0)):
@@ -410,11 +420,12 @@ def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str
         x = 8 + (width - 16) * ((value - low) / (high - low) if high > low else 0.5)
         columns[column := round(x / 8)] += 1  # stack the dots of nearly equal values
         y = max(6.0, height - 8 - 7 * (columns[column] - 1))
-        label = f"{clip['cells']['clip']}: {value:.3g}"
+        label = f"{clip['cells']['clip']}: {value:{spec}}"
         dots.append({"x": f"{x:.0f}", "y": f"{y:.0f}", "label": label} | {k: clip[k] for k in ("page", "state")})
         dots[-1]["clip"] = clip["cells"]["clip"]
     middle = float(np.median([*values.values()]))
-    return {"title": title, "low": f"{low:.3g}", "high": f"{high:.3g}", "median": f"{middle:.3g}", "dots": dots}
+    ends = {"low": low, "high": high, "median": middle}
+    return {"title": title, "dots": dots} | {name: f"{value:{spec}}" for name, value in ends.items()}
 
 
 def _thumbnail(motion: Motion) -> list[tuple[str, str]]:

@@ -38,7 +38,11 @@ def worst_keypoint(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the keypoint with the largest median distance from the pose, its camera, and a remark on its errors."""
     table = max(tables, key=lambda table: _median_px(table["rows"][0]))
     row = table["rows"][0]
-    texts = [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"] if row["median_px"] is not None else []
+    median_px, stuck = row["median_px"], row["stuck"]
+    digits = 0 if median_px is not None and median_px >= 100 else 1
+    texts = [] if median_px is None else [f"{quantity(median_px, digits, 'px')} from the pose (median)"]
+    if stuck is not None:
+        texts.append(f"stuck at pixel ({stuck['x']}, {stuck['y']}) in {counted(stuck['frames'], 'frame')}")
     texts += [counted(row["outliers"], "outlier")] if row["outliers"] else []
     texts += [f"swapped in {counted(row['swapped'], 'frame')}"] if row["swapped"] else []
     return {

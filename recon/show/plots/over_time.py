@@ -39,16 +39,23 @@ _BAR = 0.76
 """Height of a foot's bars for all gaits together, as a fraction of the height of the foot's row."""
 
 
-def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
+FINE = 0.01
+"""Duration of a stance relative to the figure's, below which intervals and strides would hide the stances."""
+
+
+def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "", has_caption: bool = True) -> Figure:
     """Draw the stances of each foot over time, as found by one or several methods.
 
     `gaits` has the gait found by each method, keyed by the method's name. The bars of several methods are above each
     other. The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait
     has a colour. A stance that is cut by the clip, and so may last longer, has an arrow instead of an edge. Lines
     across the edges are the 90 % intervals of touch-downs, in the upper half, and of lift-offs, in the lower half. Thin
-    lines with ticks are complete strides. The name of each gait and its criterion are at the bottom.
+    lines with ticks are complete strides. A long clip has neither intervals nor strides, because they would hide the
+    stances. If `has_caption`, the name of each gait and its criterion are at the bottom.
     """
-    captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
+    is_captioned = has_caption and not style.is_printing()
+    captions = [_caption(name, gait) for name, gait in gaits.items()] if is_captioned else []
+    is_fine = all(map(_is_fine, gaits.values()))
     lines = sum(caption.count("\n") + 1 for caption in captions)
     other_feet = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in FOOT_ROWS]
     feet = [foot for foot in FOOT_ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(
@@ -61,12 +68,13 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
         bar_height = _BAR / len(gaits)
         for m, gait in enumerate(gaits.values()):
             row_of_foot = {foot: row - _BAR / 2 + (m + 0.5) * bar_height for row, foot in enumerate(feet)}
-            ends = [[(s.start_s, row_of_foot[s.foot]), (s.end_s, row_of_foot[s.foot])] for s in gait.strides]
+            strides = gait.strides if is_fine else ()
+            ends = [[(s.start_s, row_of_foot[s.foot]), (s.end_s, row_of_foot[s.foot])] for s in strides]
             axes.add_collection(LineCollection(ends, color="k", lw=0.7, zorder=3.5), autolim=False)
             axes.plot(*np.reshape(ends, (-1, 2)).T, "k|", ms=5, zorder=3.5)
             for foot, y in row_of_foot.items():
                 colour = style.foot_colour(foot) if len(gaits) == 1 else style.COLOURS[m % len(style.COLOURS)]
-                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * bar_height, colour, m)
+                _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * bar_height, colour, m, is_fine)
         axes.set_yticks(range(len(feet)), feet)
         axes.set_ylim(len(feet) - 0.5, -0.5)
         axes.tick_params(axis="y", length=0)
@@ -75,20 +83,27 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
         times = np.concatenate([g.tracks.time_s for g in gaits.values()])
         margin_s = 0.02 * float(np.ptp(times)) or 0.5 / fps
         axes.set_xlim(times.min() - margin_s, times.max() + margin_s)
-        axes.set_xlabel(
-            "\n\n".join(["time (s)", "\n".join(captions)][: 1 + bool(captions)]), loc="left", fontsize=style.SMALL
-        )
+        if captions:
+            axes.set_xlabel("\n\n".join(["time (s)", "\n".join(captions)]), loc="left", fontsize=style.SMALL)
+        else:
+            axes.set_xlabel("time (s)")
         frames = axes.secondary_xaxis("top", functions=(lambda t: np.multiply(t, fps), lambda f: np.divide(f, fps)))
         frames.set_xlabel("frame")
         frames.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
         if not any(g.stances for g in gaits.values()):
             axes.text(0.5, 0.5, "no stances", transform=axes.transAxes, ha="center", va="center")
-        _legend(figure, gaits, feet)
+        _legend(figure, gaits, feet, is_fine)
     return figure
 
 
-def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour: str, m: int = 0) -> None:
-    """Draw the stance bars of one foot in the m-th gait."""
+def _is_fine(gait: Gait) -> bool:
+    """Return whether a gait's stances are long enough in a figure for intervals and strides to be drawn over them."""
+    durations_s = [stance.duration_s for stance in gait.stances]
+    return not durations_s or float(np.median(durations_s)) >= FINE * float(np.ptp(gait.tracks.time_s))
+
+
+def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour: str, m: int, is_fine: bool) -> None:
+    """Draw the stance bars of one foot in the m-th gait, with the intervals of their ends if `is_fine`."""
     low, high, edges = y - height / 2, y + height / 2, []
     axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(colour, m), lw=0, zorder=2)
     for stance in stances:
@@ -100,6 +115,8 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
             axes.plot(cut_s, y, marker=marker, ms=4, color=colour, mec="w", mew=0.4, zorder=4, clip_on=False)
     lines = LineCollection(edges, color=colour, lw=1.1, capstyle="projecting", zorder=3)
     axes.add_collection(lines, autolim=False)
+    if not is_fine:
+        return
     intervals = np.array(
         [interval for stance in stances for interval in (stance.start_interval_s, stance.end_interval_s)]
     )
@@ -117,16 +134,16 @@ def _caption(name: str, gait: Gait) -> str:
     return textwrap.fill(text, 125)
 
 
-def _legend(figure: Figure, gaits: Mapping[str, Gait], feet: Sequence[str]) -> None:
+def _legend(figure: Figure, gaits: Mapping[str, Gait], feet: Sequence[str], is_fine: bool) -> None:
     looks = {name: (style.COLOURS[m % len(style.COLOURS)], m) for m, name in enumerate(gaits)}
     if len(gaits) == 1:
         looks = {f"{'right' if foot.startswith('R') else 'left'} foot": (style.foot_colour(foot), 0) for foot in feet}
     handles: list = [Patch(**_fill(*look), label=name) for name, look in looks.items()]
     if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
         handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
-    if any(np.isfinite((s.start_sigma_s, s.end_sigma_s)).any() for g in gaits.values() for s in g.stances):
+    if is_fine and any(np.isfinite((s.start_sigma_s, s.end_sigma_s)).any() for g in gaits.values() for s in g.stances):
         handles.append(Line2D([], [], color="0.35", lw=0.7, label="90 % interval of each end"))
-    if any(g.strides for g in gaits.values()):
+    if is_fine and any(g.strides for g in gaits.values()):
         handles.append(Line2D([], [], color="k", lw=0.7, marker="|", ms=5, label="complete stride"))
     style.add_legend(figure, handles, [h.get_label() for h in handles])
 
@@ -148,12 +165,12 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
         time_s = gait.tracks.time_s
         for row, foot in enumerate(feet):
             foot_stances, colour = [s for s in gait.stances if s.foot == foot], style.foot_colour(foot)
-            _bars(top, foot_stances, row, 0.7, colour)
+            _bars(top, foot_stances, row, 0.7, colour, 0, _is_fine(gait))
             middle, low, high = dynamics.force[foot].T
             below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
             below[row].plot(time_s, dynamics.force[foot][:, 1:], color=colour, lw=0.4)
             below[row].plot(time_s, middle, color=colour)
-            below[row].set_ylabel(f"{foot}\n(body weights)")
+            below[row].text(0.005, 0.94, foot, transform=below[row].transAxes, va="top")
             below[row].sharey(below[0])
             if np.isnan(middle).any() and not np.nan_to_num(middle).any():
                 text_style = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
@@ -162,13 +179,15 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
         key = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
-        top.set_title(f"stances, and each foot's force ({key})", loc="left")
+        top.set_title(f"stances, and vertical force of each foot ({key})", loc="left")
+        # The label of all feet is beside the middle of their panels.
+        below[len(feet) // 2].set_ylabel("vertical force (body weights)", y=1.0 - len(feet) % 2 / 2)
         below[0].set_ylim(bottom=0)
         series = dynamics.centre.series
         height = series.value[:, 2] - dynamics.ground_m
         style.draw_band(last, series.time_s, height, np.nan_to_num(series.value_sigma[:, 2]), "0.5", least=-np.inf)
         last.plot(series.time_s, height, color="k")
-        last.set_ylabel("centre of\nmass (m)")
+        last.set_ylabel("height of the\ncentre of mass (m)")
         last.set_xlabel("time (s)")
     return figure
 

@@ -345,14 +345,17 @@ export class FlagStrip extends Strip {
         const x = this.x(first - 0.5);
         pen.fillRect(x, y + 2, Math.max(2, this.x(stop - 0.5) - x), 14);
       }
-      // The name stands where no bar covers it: left or right.
+      // The name stands where no bar covers it, left or right, or within a long bar in the colour of the page.
       const width = pen.measureText(kind).width, left = this.gutter + 6, right = wide - 14 - width;
       const covered = (x) => runs.some(([first, stop]) => this.x(stop) > x - 4 && this.x(first - 0.5) < x + width + 4);
       const x = covered(left) && !covered(right) ? right : left;
+      const within = runs.some(([first, stop]) => this.x(first - 0.5) <= x && this.x(stop - 0.5) >= x + width);
       pen.textAlign = "left";
       pen.fillStyle = paint.paper;
-      pen.fillRect(x - 3, y + 1, width + 6, 16);
-      pen.fillStyle = paint.ink;
+      if (!within) {
+        pen.fillRect(x - 3, y + 1, width + 6, 16);
+        pen.fillStyle = paint.ink;
+      }
       pen.fillText(kind, x, y + 9);
     });
   }
