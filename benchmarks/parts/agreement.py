@@ -15,7 +15,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -26,8 +25,9 @@ from types import SimpleNamespace
 import numpy as np
 from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, load_skeleton
+from recon import load_skeleton
 from recon.api.clip_inputs import prepare
 from recon.check.agreement import agreement_findings
 from recon.clip import View, views_of
@@ -43,15 +43,7 @@ Case = tuple[str, list[View], str, tuple[int, ...]]
 
 def views_of_run(run: Path) -> tuple[list[View], float]:
     """Return the views of all cameras of a run, and the frame rate."""
-    meta = json.loads((run / "meta.json").read_text())
-    settings = FitSettings(
-        keypoints=tuple(run / f"cam{camera}.csv" for camera in meta["cameras"]),
-        camera=(run / "scene.json",),
-        camera_name=tuple(f"cam{camera}" for camera in meta["cameras"]),
-        fps=meta["fps"],
-        skeleton=SKELETON,
-    )
-    given = prepare(settings)
+    given = prepare(fit_settings(run, meta_of(run)["cameras"], skeleton=SKELETON))
     return [view.mask_outside_image() for view in views_of(given.sources)], given.fps
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from markdown_table import percent, print_table
-from recordings import recordings
+from recordings import meta_of, recordings
 
 from recon import read_pose3d
 from recon.animal.body import opposites
@@ -69,7 +69,7 @@ def view_file(folder: Path, camera: str, fps: float) -> File:
 def files() -> Iterator[File]:
     """Yield all files to audit: views and 3D poses of the recordings, hand labels and examples."""
     for folder in sorted(recordings("cheetah-runs").glob("*/")):
-        fps = json.loads((folder / "meta.json").read_text())["fps"]
+        fps = meta_of(folder)["fps"]
         for path in sorted(folder.glob("cam*.csv")):
             yield view_file(folder, path.stem, fps)
         yield File(f"{folder.name}/3D", folder.name, audit_file(folder / "truth.csv", fps=fps, unit="m").points)

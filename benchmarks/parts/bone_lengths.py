@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from markdown_table import print_table
-from recordings import recordings
+from recordings import meta_of, recordings
 
 from recon import FitSettings
 from recon.animal.bones import bones_of
@@ -47,7 +47,7 @@ def measured() -> dict[str, Rows]:
     """Fit each run alone, and return the errors of the run's bone lengths."""
     runs: dict[str, Rows] = {}
     for folder in sorted(recordings("cheetah-runs").glob("*/")):
-        meta = json.loads((folder / "meta.json").read_text())
+        meta = meta_of(folder)
         files = tuple(sorted(folder.glob("cam*.csv")))
         settings = FitSettings(keypoints=files, camera=(folder / "scene.json",), fps=meta["fps"])
         problem = clip_problem(settings, folder, None)

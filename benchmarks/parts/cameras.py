@@ -24,9 +24,10 @@ import numpy as np
 from arguments import parser_of, runs_or_exit
 from changed_constants import options_with
 from markdown_table import print_table
-from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
+from recordings import fit_settings, meta_of
+from trajectory import SKELETON, body_of, prior_of, truth_of
 
-from recon import Body, FitSettings
+from recon import Body
 from recon.animal.measured import detector_toml
 from recon.api.clip_inputs import prepare
 from recon.clip import Source, View, views_of
@@ -69,13 +70,7 @@ class Run:
 @cache
 def run_of(folder: Path) -> Run:
     cameras = meta_of(folder)["cameras"]
-    given = prepare(
-        FitSettings(
-            keypoints=tuple(folder / f"cam{c}.csv" for c in cameras),
-            camera=(folder / "scene.json",),
-            fps=meta_of(folder)["fps"],
-        )
-    )
+    given = prepare(fit_settings(folder, cameras))
     frames, points_m = truth_of(folder)
     _, here, there = np.intersect1d(given.sources[0].keypoints.frames, frames, return_indices=True)
     truth_m = np.full((len(given.sources[0].keypoints.frames), *points_m.shape[1:]), np.nan)

@@ -10,32 +10,24 @@ default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from arguments import parser_of, runs_or_exit, settings_of
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
+from recon import InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.animal.skeleton_file import builtin_names
 from recon.thesis.solution import FrameSolution
 
 PUBLISHED = "cheetah-8u"
 
 
-def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> dict:
+def view_row(run: Path, camera: int, skeleton: str, **options) -> dict:
     """Fit one view by the frame method, and return its errors and times for the table."""
-    settings = FitSettings(
-        keypoints=(run / f"cam{camera}.csv",),
-        camera=(run / "scene.json",),
-        camera_name=(f"cam{camera}",),
-        fps=meta["fps"],
-        method="frame",
-        skeleton=skeleton,
-        **options,
-    )
+    settings = fit_settings(run, [camera], method="frame", skeleton=skeleton, **options)
     start = time.perf_counter()
     motion = fit_clip(settings)
     solution = motion.solution
@@ -49,7 +41,7 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
     return {
         "run": run.name,
         "cam": camera,
-        "named": camera == meta.get("monocular_camera"),
+        "named": camera == meta_of(run).get("monocular_camera"),
         "skeleton": skeleton,
         "side": motion.side,
         "frames": len(motion.frames),
@@ -136,7 +128,7 @@ def main() -> None:
     changed, runs = settings_of(arguments), runs_or_exit(parser, arguments.folder)
     tables: dict[str, list[dict]] = {"published link ratios": [], "measured lengths": [], "without Gaussian priors": []}
     for run in runs:
-        meta = json.loads((run / "meta.json").read_text())
+        meta = meta_of(run)
         measured = f"{PUBLISHED}-{meta['subject']}"
         for camera in meta["cameras"]:
             jobs = [("published link ratios", PUBLISHED, {})]
@@ -146,7 +138,7 @@ def main() -> None:
                 jobs.append(("without Gaussian priors", PUBLISHED, {"angle_prior": "none"}))
             for title, skeleton, options in jobs:
                 try:
-                    tables[title].append(view_row(run, camera, skeleton, meta, **options, **changed))
+                    tables[title].append(view_row(run, camera, skeleton, **options, **changed))
                 except InputError as error:
                     print(f"{run.name} cam{camera}: left out: {error}")
     for title, rows in tables.items():

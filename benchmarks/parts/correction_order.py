@@ -36,7 +36,7 @@ from pathlib import Path
 import numpy as np
 from arguments import parser_of, runs_or_exit
 from markdown_table import print_header, print_row, print_table
-from trajectory import meta_of
+from recordings import fit_settings, meta_of
 
 from recon import FitSettings, Motion, fit_clip, read_pose3d
 from recon.api.clip import refit_clip
@@ -255,12 +255,7 @@ def clips(runs: Sequence[Path]) -> Iterator[tuple[str, Clip]]:
         second = next(camera for camera in meta["cameras"] if camera != first)
         truth = read_pose3d(run / "truth.csv")
         for cameras in ((first,), (first, second)):
-            settings = FitSettings(
-                keypoints=tuple(run / f"cam{camera}.csv" for camera in cameras),
-                camera=(run / "scene.json",),
-                camera_name=tuple(f"cam{camera}" for camera in cameras),
-                fps=meta["fps"],
-            )
+            settings = fit_settings(run, cameras)
             motion = fit_clip(settings)
             truth_m = np.full(motion.joints_m.shape, np.nan)
             _, rows, true_rows = np.intersect1d(motion.frames, truth.frames, return_indices=True)

@@ -20,10 +20,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from arguments import runs_of
 from cameras import PRIOR, Run, as_seen, run_of, single_view_errors, with_detector
 from markdown_table import print_header, print_row, print_table
-from recordings import recordings
-from trajectory import body_of, meta_of, prior_of, truth_of
+from recordings import fit_settings, meta_of, recordings
+from trajectory import body_of, prior_of, truth_of
 
 from recon import Body, FitSettings, Pose3D, read_pose3d
 from recon.animal.measured import detector_toml
@@ -42,16 +43,9 @@ HEADER = ("recordings", "views", "default detector", "no option", "none", SHIPPE
 
 def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
     """Fit one view, and return the MPJPE, mm, and the detector that the fit assumed."""
-    scene, meta = folder / "scene.json", meta_of(folder)
-    motion = fit_clip(
-        FitSettings(
-            keypoints=(folder / f"cam{number}.csv",),
-            camera=(scene if scene.is_file() else folder / f"cam{number}.toml",),
-            fps=meta["fps"],
-            subject=meta["subject"] if meta["subject"] in WITH_LENGTHS else None,
-            detector=detector,
-        )
-    )
+    subject = meta_of(folder)["subject"]
+    known = subject if subject in WITH_LENGTHS else None
+    motion = fit_clip(fit_settings(folder, [number], subject=known, detector=detector))
     pose = Pose3D(motion.names, motion.joints_m, motion.frames)
     return 1000 * evaluate(pose, read_pose3d(folder / "truth.csv")).mpjpe_m.mean, str(motion.body.detector)
 
@@ -118,12 +112,8 @@ def plate_run(folder: Path) -> Run:
     return Run(folder, {n: source for n, source, _ in by_camera}, {n: view for n, _, view in by_camera}, truth_m)
 
 
-def runs_in(kind: str) -> list[Path]:
-    return [path.parent for path in sorted(recordings(kind).resolve().glob("*/meta.json"))]
-
-
 def main() -> None:
-    known, plates = runs_in("cheetah-runs"), runs_in("plate-trials")
+    known, plates = (runs_of(recordings(kind).resolve()) for kind in ("cheetah-runs", "plate-trials"))
     if not known or not plates:
         raise SystemExit("no recordings")
     with tempfile.TemporaryDirectory() as made:

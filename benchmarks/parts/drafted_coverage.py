@@ -24,9 +24,9 @@ import dog
 import numpy as np
 import pandas as pd
 from arguments import parser_of
-from left_out_camera import seen_by
+from left_out_camera import in_trunk, seen_by
 from markdown_table import print_table
-from recordings import recordings
+from recordings import rat_poses, recordings
 
 from recon import Body, InputError, load_skeleton
 from recon.animal.prior import prior_from_body
@@ -69,9 +69,7 @@ class Recording:
 
 
 def rats() -> Iterator[Recording]:
-    table = pd.read_csv(recordings("rat-poses") / "rat23.csv", index_col="frame")
-    names = [column.removesuffix("_x") for column in table.columns[::3]]
-    points_m = table.to_numpy().reshape(len(table), -1, 3) / 1000
+    names, points_m = rat_poses()
     past_m = points_m[:RAT_DRAFT]
     for first in range(RAT_DRAFT + 20, len(points_m) - FRAMES, 2 * FRAMES):
         part_m = points_m[first : first + FRAMES]
@@ -89,10 +87,7 @@ def dogs() -> Iterator[Recording]:
 def biased(recording: Recording, points_m: np.ndarray, offsets_m: np.ndarray) -> np.ndarray:
     """Shift the recorded points by offsets (K, 3) in the frame of the trunk's heading, metres."""
     rear, front = (recording.names.index(name) for name in recording.trunk)
-    ahead = points_m[:, front, :2] - points_m[:, rear, :2]
-    c, s = (ahead / np.linalg.norm(ahead, axis=1, keepdims=True)).T[..., None]
-    x, y, z = np.broadcast_to(offsets_m, points_m.shape).transpose(2, 0, 1)
-    return points_m + np.stack([c * x - s * y, s * x + c * y, z], axis=2)
+    return points_m + in_trunk(points_m, (rear, front), offsets_m)
 
 
 def drafted_body(recording: Recording, points_m: np.ndarray) -> Body:

@@ -17,7 +17,6 @@ than the plates.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,7 +27,7 @@ import pandas as pd
 from arguments import runs_of
 from dog import Clip, read_clips, write_view
 from markdown_table import percent, print_table
-from recordings import recordings
+from recordings import fit_settings, meta_of, recordings
 
 import recon.gait.dynamics as method
 from recon import FitSettings, Motion, fit_clip, load_skeleton, samples_folder
@@ -146,16 +145,8 @@ def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
     """
     found, held = [], []
     for run in runs_of(recordings("cheetah-runs")):
-        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
-        of_run = []
-        for cameras in (about["cameras"], *([camera] for camera in about["cameras"])):
-            view = FitSettings(
-                keypoints=tuple(run / f"cam{camera}.csv" for camera in cameras),
-                camera=(run / "scene.json",),
-                camera_name=tuple(f"cam{camera}" for camera in cameras),
-                fps=about["fps"],
-            )
-            of_run.append(analyse(fit_clip(view)))
+        every = meta_of(run)["cameras"]
+        of_run = [analyse(fit_clip(fit_settings(run, cameras))) for cameras in (every, *([one] for one in every))]
         (true, true_sigma), *views = map(turning, of_run)
         off = (((said - true) ** 2 / (sigma**2 + true_sigma**2)).dropna() for said, sigma in views)
         held.append(np.mean([(of < radius(INTERVAL) ** 2).mean() for of in off], axis=0))
@@ -284,14 +275,9 @@ def print_against_plates() -> bool:
     for kind in ("single views", "both cameras"):
         stances: list[dict[str, float]] = []
         for run in runs:
-            about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+            about = meta_of(run)
             for cameras in [about["cameras"]] if kind == "both cameras" else [[c] for c in about["cameras"]]:
-                settings = FitSettings(
-                    keypoints=tuple(run / f"cam{c}.csv" for c in cameras),
-                    camera=tuple(run / f"cam{c}.toml" for c in cameras),
-                    fps=about["fps"],
-                )
-                analysed = analyse(fit_clip(settings))
+                analysed = analyse(fit_clip(fit_settings(run, cameras)))
                 of_clip = against_plates(run, analysed, about["fps"])
                 stances += of_clip
                 if analysed.gait is not None:

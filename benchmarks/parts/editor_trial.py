@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -30,6 +29,7 @@ from typing import Any
 
 import numpy as np
 from markdown_table import print_table
+from pages import CHROMIUM, FILM
 from planted_faults import FAULTS, Fits, detections
 
 from recon import Motion
@@ -39,7 +39,6 @@ from recon.testing.film import FPS, film_clip
 from recon.testing.gallop import SyntheticClip
 
 ROOT = Path(__file__).resolve().parents[2]
-FILM = ROOT / "data" / "samples" / "rendered.mp4"
 KEY_S, POINT_S, CLICK_S, PREPARE_S = 0.28, 1.1, 0.2, 1.35
 HAND_PX = 1.0
 EDITOR = "document.querySelector('main.fix').editor"
@@ -150,14 +149,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=1)
     seeds = range(parser.parse_args().seeds)
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if program is None or find_spec("playwright") is None:
+    if not CHROMIUM or find_spec("playwright") is None:
         parser.exit(message="no Chromium or no package playwright: nothing measured\n")
     from playwright.sync_api import sync_playwright  # pyright: ignore[reportMissingImports]
 
     clip, _ = film_clip()
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
         rows = [row(chromium, clip, seed) for seed in seeds]
         chromium.close()
     actions = "actions", "minutes by the keystroke-level model", f"of {FAULTS} faults corrected"

@@ -13,16 +13,17 @@ one, because the parameters of the method were chosen on all runs.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from arguments import parser_of, runs_of, settings_of
+from cheetah_runs import PUBLISHED
 from markdown_table import percent, print_table
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, Motion, Pose3D, evaluate, fit_clip, read_pose3d
+from recon import Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.cli.analyse import ACCELERATION_KNOWN_M_S2
 from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
@@ -37,17 +38,9 @@ POOR_MM = 160.0
 """MPJPE above which no pose may have the verdict "use", mm."""
 
 
-def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+def view_row(run: Path, camera: int, options: dict[str, Any]) -> dict[str, Any]:
     """Fit one view by the frame method, and return its errors, intervals and effort by column."""
-    settings = FitSettings(
-        keypoints=(run / f"cam{camera}.csv",),
-        camera=(run / "scene.json",),
-        camera_name=(f"cam{camera}",),
-        fps=meta["fps"],
-        method="frame",
-        skeleton="cheetah-8u",
-        **options,
-    )
+    settings = fit_settings(run, [camera], method="frame", skeleton=PUBLISHED, **options)
     motion, truth = fit_clip(settings), read_pose3d(run / "truth.csv")
     analysis, solution = ClipAnalysis(motion), frame_solution(motion)
     reference = analysis.reference_motion
@@ -58,7 +51,7 @@ def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, An
     return {
         "run": run.name,
         "camera": camera,
-        "named": camera == meta.get("monocular_camera"),
+        "named": camera == meta_of(run).get("monocular_camera"),
         "verdict": verdict.level,
         "true_peak_m_s": true_peak_m_s(motion, truth),
         "peak_m_s": reference.peak_speed_m_s,
@@ -159,9 +152,9 @@ def main() -> None:
     for run in () if arguments.rows else runs_of(arguments.folder):
         if arguments.only and not run.name.startswith(tuple(arguments.only)):
             continue
-        meta = json.loads((run / "meta.json").read_text())
+        meta = meta_of(run)
         cameras = [meta["monocular_camera"]] if arguments.quick else meta["cameras"]
-        rows += [view_row(run, camera, meta, options) for camera in cameras]
+        rows += [view_row(run, camera, options) for camera in cameras]
     if not rows and not arguments.rows:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
     table = pd.concat([pd.DataFrame(rows), *map(pd.read_csv, arguments.rows)], ignore_index=True)

@@ -11,7 +11,6 @@ degrees (median). The script takes a quarter of an hour.
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,9 @@ import numpy as np
 from arguments import parser_of, runs_or_exit
 from cheetah_runs import PUBLISHED, best_90_px
 from markdown_table import print_header, print_row
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
+from recon import Pose3D, evaluate, fit_clip, read_pose3d
 from recon.gait.series import frame_jitter_m
 from recon.thesis import solver as frame
 from recon.thesis.objectives import FrameOptions, Objective, ResidualAndJacobian, frame_objectives
@@ -80,17 +80,8 @@ def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple
         Mean reprojection error of the best 90 %, px; MPJPE, mm; fraction of the squared residuals that comes from f2 to
         f5; and jitter of the thetas, degrees.
     """
-    every, meta = frame_objectives, json.loads((run / "meta.json").read_text())
-    camera = meta["monocular_camera"]
-    settings = FitSettings(
-        keypoints=(run / f"cam{camera}.csv",),
-        camera=(run / "scene.json",),
-        camera_name=(f"cam{camera}",),
-        fps=meta["fps"],
-        method="frame",
-        skeleton=PUBLISHED,
-        **options,
-    )
+    every = frame_objectives
+    settings = fit_settings(run, [meta_of(run)["monocular_camera"]], method="frame", skeleton=PUBLISHED, **options)
 
     def some(*given) -> tuple[Any, ...]:
         first, *others = every(*given)

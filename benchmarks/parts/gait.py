@@ -16,7 +16,6 @@ horse-side, which is labelled by hand.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -27,11 +26,12 @@ import pandas as pd
 from arguments import parser_of
 from dog import Clip, marker_gait, read_clips, write_view
 from markdown_table import print_table
-from recordings import recordings
+from recordings import fit_settings, meta_of, recordings
 
 import recon.gait.stances as method
 from recon import FitSettings, Pose3D, fit_clip, read_pose3d
 from recon.api.clip_results import run_clip
+from recon.api.samples import samples_folder
 from recon.fit.motion import Motion
 from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis, analyse
@@ -41,7 +41,6 @@ from recon.gait.phase import means_of_field, pose_vector_field
 from recon.gait.stances import FEET, INTERVAL, Stance, pose_tracks, stances
 from recon.testing.gallop import gallop
 
-SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 REFERENCE = "spine"
 CHAINS = {
     "hind": ("spine", "tail_base", "{}_back_knee", "{}_back_ankle", "{}_back_paw"),
@@ -93,7 +92,7 @@ def sample_rows() -> list[dict]:
     """Compare the samples' true joints with the formula, and the samples' reconstructions with the truth."""
     formula = gallop(fps=float(FORMULA_FPS), n_frames=29 * FORMULA_FPS // 30 + 1)
     fine = Pose3D(formula.names, formula.truth_m, np.arange(len(formula.truth_m)))
-    clean, whole = (read_pose3d(SAMPLES / f"{name}_truth.csv") for name in ("clean", "whole"))
+    clean, whole = (read_pose3d(samples_folder() / f"{name}_truth.csv") for name in ("clean", "whole"))
     rows = [sample_row("clean, true joints", clean, 30, fine, FORMULA_FPS, FEET)]
     fits = (
         ("noisy, frame method", {"method": "frame"}),
@@ -108,7 +107,10 @@ def sample_rows() -> list[dict]:
 def fitted_row(name: str, sample: str, fps: int, options: dict, truth: Pose3D, truth_fps: int) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         settings = FitSettings(
-            keypoints=(SAMPLES / f"{sample}.csv",), camera=(SAMPLES / "camera.toml",), fps=fps, **options
+            keypoints=(samples_folder() / f"{sample}.csv",),
+            camera=(samples_folder() / "camera.toml",),
+            fps=fps,
+            **options,
         )
         run_clip(settings, Path(folder) / "fit")
         found = analyse(Motion.load(Path(folder) / "fit"))
@@ -154,13 +156,9 @@ Events = list[tuple[float, float, bool]]
 """Delay of each event, s, standard deviation of its time, s, and whether it is a touch-down."""
 
 
-def fitted(run: Path, camera: int, about: dict) -> Motion:
+def fitted(run: Path, camera: int) -> Motion:
     """Fit the view of one camera of a run."""
-    scene = run / "scene.json"
-    one, name = (scene, (f"cam{camera}",)) if scene.is_file() else (run / f"cam{camera}.toml", None)
-    return fit_clip(
-        FitSettings(keypoints=(run / f"cam{camera}.csv",), camera=(one,), camera_name=name, fps=about["fps"])
-    )
+    return fit_clip(fit_settings(run, [camera]))
 
 
 def found_gait(motion: Motion) -> Gait:
@@ -187,10 +185,10 @@ def plate_rows() -> list[dict]:
     """Compare the stances of views with the force plates, and test the intervals of their ends."""
     kinds: dict[str, list[tuple[tuple[Stance, ...], list[Stance]]]] = {"single views": [], "reconstructions": []}
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
-        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        about = meta_of(run)
         exact = plate_stances(run, about["fps"])
         for camera in about["cameras"]:
-            kinds["single views"].append((found_gait(fitted(run, camera, about)).stances, exact))
+            kinds["single views"].append((found_gait(fitted(run, camera)).stances, exact))
         found = stances(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
         kinds["reconstructions"].append((found, exact))
     return [event_row(kind, some) for kind, some in kinds.items() if some]
@@ -206,13 +204,13 @@ def held_out_rows(runs: Sequence[Path]) -> list[dict]:
     """
     kinds: dict[str, list[tuple[Motion, Sequence[Stance]]]] = {"cheetahs over plates": [], "cheetahs": [], "a dog": []}
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
-        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        about = meta_of(run)
         exact = plate_stances(run, about["fps"])
-        kinds["cheetahs over plates"] += [(fitted(run, camera, about), exact) for camera in about["cameras"]]
+        kinds["cheetahs over plates"] += [(fitted(run, camera), exact) for camera in about["cameras"]]
     for run in runs:
-        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        about = meta_of(run)
         exact = stances(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
-        kinds["cheetahs"] += [(fitted(run, camera, about), exact) for camera in about["cameras"]]
+        kinds["cheetahs"] += [(fitted(run, camera), exact) for camera in about["cameras"]]
     kinds["a dog"] = [
         (motion, marked.stances) for clip, marked, motion in dog_gaits() if not clip.name.startswith("turn")
     ]
@@ -262,9 +260,9 @@ def run_gaits(runs: tuple[Path, ...]) -> tuple[tuple[Gait, Gait], ...]:
     """Fit each single view of the runs, and return its gait and the gait of the run from all cameras."""
     found = []
     for run in runs:
-        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        about = meta_of(run)
         exact = gait(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
-        found += [(found_gait(fitted(run, camera, about)), exact) for camera in about["cameras"]]
+        found += [(found_gait(fitted(run, camera)), exact) for camera in about["cameras"]]
     return tuple(found)
 
 
@@ -355,7 +353,7 @@ def main() -> None:
     print(f"\n{named_views(runs)}\n")
     rows, links = [], []
     for run in runs:
-        fps = json.loads((run / "meta.json").read_text(encoding="utf-8"))["fps"]
+        fps = meta_of(run)["fps"]
         pose = read_pose3d(run / "truth.csv")
         rows.append({"run": run.name, **run_row(pose, fps)})
         links.append(link_speeds(pose, fps))

@@ -34,6 +34,7 @@ from recon.fit.points import solve_points
 from recon.gait.gait import pose_gait
 from recon.ik.animal_chain import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.ik.chain import SerialChain
+from recon.ik.cost_study import CHAOTIC_GROWTH, CLOSED_RAD, NEAR_RAD
 from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
 from recon.ik.drive import degree_of_closure, drive_to, follow
 from recon.ik.limb import REFIT_FRAMES, Limb, fit_parameter_series, follow_stride, stride_duration_range_s
@@ -78,12 +79,6 @@ COSTS: dict[str, Callable[[SerialChain], Cost]] = {
     "distance from the middle pose": lambda chain: pose_distance(np.zeros(chain.n)),
     HARMONIC: lambda chain: harmonic_map(),
 }
-NEAR_RAD = 1e-6
-"""Difference of every joint angle between two close starts, rad."""
-CLOSED_RAD = 1e-3
-"""Largest change of a joint angle over one turn at which the path counts as closed, rad."""
-APART = 1e3
-"""Growth of the distance between two paths, as a factor, above which a path counts as chaotic."""
 
 
 def joined(parts: list[Frames]) -> Frames:
@@ -230,8 +225,8 @@ def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
     """Classify the motion of the extended Jacobian with a cost on the circle, starting at the cost's optimum.
 
     The motion is "convergent" if the angles after every turn equal the angles before it; "singular" if the extended
-    Jacobian became singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away;
-    otherwise "drifting". The returned string also states how many joints reached a limit.
+    Jacobian became singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `CHAOTIC_GROWTH` times as
+    far away; otherwise "drifting". The returned string also states how many joints reached a limit.
     """
     method = ExtendedJacobian(cost)
     q = to_null_space_optimum(chain, q, cost)[0]
@@ -244,7 +239,7 @@ def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
         return f"singular{held}"
     near = follow(chain, q + NEAR_RAD, path, method, turns=TURNS)
     apart = np.nanmax(np.abs(near.q[-1] - run.q[-1]))
-    return f"{'chaotic' if apart > APART * NEAR_RAD else 'drifting'}{held}"
+    return f"{'chaotic' if apart > CHAOTIC_GROWTH * NEAR_RAD else 'drifting'}{held}"
 
 
 def print_costs() -> None:

@@ -42,18 +42,17 @@ from dog import read_clips, write_view
 from markdown_table import print_table
 from recordings import recordings
 from standing import CLIPS, parts_of
-from wrong_inputs import CASES, Case, Clip, Given, cameras_of, fitted, follows, hidden, lower_leg
+from wrong_inputs import CASES, Case, Clip, Given, fitted, follows, hidden, lower_leg, views
 
 from recon import FitSettings, InputError, Motion, fit_clip
 from recon.animal.prior import MotionPrior
 from recon.api import clip as clip_api
 from recon.api.clip_inputs import prepare
+from recon.api.samples import samples_folder
 from recon.check import inputs, likelihood
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.result import TrajectorySolution
-
-SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+from recon.fit.motion import trajectory_solution
 
 
 def legs_alone(clip: Clip, given: Given) -> Given:
@@ -61,7 +60,7 @@ def legs_alone(clip: Clip, given: Given) -> Given:
     return hidden(lambda name: not lower_leg(name))(clip, follows(clip, given))
 
 
-UNTOUCHED, DOGS, FILM = "untouched", "dogs", "rendered film"
+UNTOUCHED, DOGS, VIDEO = "untouched", "dogs", "rendered video"
 STEPS = {
     **{name: CASES[name] for name in ("right: half missing", "right: a side hidden", "right: comes into the picture")},
     "right: lower legs alone, followed": Case(legs_alone),
@@ -74,7 +73,7 @@ MOVING = {name: CASES[name] for name in ("follows", "on a belt that slows down",
 """Cases in which standing feet slide over the ground."""
 FITTED = {**MOVING, **{name: CASES[name] for name in ("zooms x 1.5", "stabiliser's crop", "interpolated, every 8th")}}
 """Cases of wrong inputs that are fitted."""
-_RIGHT = (UNTOUCHED, DOGS, FILM)
+_RIGHT = (UNTOUCHED, DOGS, VIDEO)
 _SLIDING = (*_RIGHT, *MOVING)
 STATISTICS = {
     "long steps": (f"{inputs.LONG_STEP_FRACTION}", (UNTOUCHED, DOGS, *STEPS)),
@@ -118,8 +117,7 @@ def statistics_of_keypoints(settings: FitSettings) -> Statistics:
 
 def statistics_of_motion(motion: Motion, prior: MotionPrior, options: TrajectoryOptions) -> Statistics:
     """Return the statistics of a fit, as `input_findings` computes them."""
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
+    solution = trajectory_solution(motion)
     found = {f"jolts, {name}": cost for name, cost in inputs.jolt_costs(motion).items()}
     clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, options)
     zooms: list[float] = []
@@ -189,21 +187,17 @@ def fits_of_dogs() -> Iterator[Callable[[], object]]:
             yield fit
 
 
-def fit_of_film() -> None:
-    fit_clip(
-        FitSettings(keypoints=(SAMPLES / "rendered_points.csv",), camera=(SAMPLES / "rendered_camera.toml",), fps=120.0)
-    )
+def fit_of_video() -> None:
+    points, camera = (samples_folder() / f"rendered_{name}" for name in ("points.csv", "camera.toml"))
+    fit_clip(FitSettings(keypoints=(points,), camera=(camera,), fps=120.0))
 
 
 def groups(every: int) -> Iterator[Group]:
     """Yield the statistics of the clips of each case; wrong cases use only one in `every` views."""
-    kinds = ("cheetah-runs", "plate-trials")
-    runs = sorted(path.parent for kind in kinds for path in recordings(kind).glob("*/meta.json"))
-    views = [Clip(run, (name,)) for run in runs for name in cameras_of(run)]
     untouched = {UNTOUCHED: CASES[UNTOUCHED]}
 
     def fits(case: Case, step: int) -> list[Callable[[], object]]:
-        return [partial(fit_of_view, view, case) for view in views[::step]]
+        return [partial(fit_of_view, view, case) for view in views()[::step]]
 
     for name, case in (untouched | STEPS | TURNED).items():
         yield Group(name, [statistics_of(fit, "prepare") for fit in fits(case, 1)])
@@ -212,7 +206,7 @@ def groups(every: int) -> Iterator[Group]:
         step = 1 if name == UNTOUCHED else every
         yield Group(name, [statistics_of(fit, "input_findings") for fit in fits(case, step)])
     yield Group(DOGS, [statistics_of(fit, "input_findings") for fit in fits_of_dogs()])
-    yield Group(FILM, [statistics_of(fit_of_film, "input_findings")])
+    yield Group(VIDEO, [statistics_of(fit_of_video, "input_findings")])
 
 
 def main() -> None:

@@ -10,15 +10,15 @@ their species.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, fit_clip, read_pose3d
+from recon import fit_clip, read_pose3d
 from recon.api.compare import measurement_sigma
 from recon.api.experiment import SPEED, runs_of_clips
 from recon.fit.regions import radius
@@ -29,10 +29,9 @@ from recon.gait.series import series_kinematics
 from recon.gait.stances import INTERVAL
 
 
-def view_row(run: Path, camera: int, fps: float) -> dict[str, object]:
+def view_row(run: Path, camera: int) -> dict[str, object]:
     """Fit one view, and return its row as in `clips.csv` of `recon compare`."""
-    keypoints, cameras = (run / f"cam{camera}.csv",), (run / "scene.json",)
-    motion = fit_clip(FitSettings(keypoints=keypoints, camera=cameras, camera_name=(f"cam{camera}",), fps=fps))
+    motion = fit_clip(fit_settings(run, [camera]))
     speed = analyse(motion).quantities[SPEED]
     labels = {
         "clip": f"{run.name} {camera}",
@@ -50,8 +49,8 @@ def main() -> None:
     parser = parser_of(__doc__, kind="cheetah-runs")
     rows, errors, joint_errors = [], [], []
     for run in runs_or_exit(parser, parser.parse_args().folder):
-        meta, truth = json.loads((run / "meta.json").read_text()), read_pose3d(run / "truth.csv")
-        clips = pd.DataFrame([view_row(run, camera, meta["fps"]) for camera in meta["cameras"]])
+        meta, truth = meta_of(run), read_pose3d(run / "truth.csv")
+        clips = pd.DataFrame([view_row(run, camera) for camera in meta["cameras"]])
         xyz_m = truth.xyz_m[:, truth.names.index(clips["reference"][0])]
         velocity = series_kinematics(frame_times(truth.frames, meta["fps"]), xyz_m, oversampling=1).rate
         true = float(np.nanmean(np.linalg.norm(velocity, axis=1)))

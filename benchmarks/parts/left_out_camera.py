@@ -39,12 +39,11 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from arguments import parser_of, runs_of
 from cameras import as_seen, run_of
 from markdown_table import print_header, print_row, print_table
 from peer_runs import PeerClip, by_peers, peer_python
-from recordings import recordings
+from recordings import rat_poses, recordings
 from trajectory import PRIOR, SKELETON, prior_of
 
 from recon import Body, load_skeleton
@@ -264,12 +263,11 @@ def simulated_clips(quick: bool) -> Iterator[Clip]:
 
 def rat_clips(quick: bool) -> Iterator[Clip]:
     """Yield clips of the recorded rat, seen by simulated cameras."""
-    table = pd.read_csv(recordings("rat-poses") / "rat23.csv", index_col="frame")
-    names = [column.removesuffix("_x") for column in table.columns[::3]]
-    points_m = table.to_numpy().reshape(len(table), -1, 3) / 1000
+    names, points_m = rat_poses()
+    trunk = names.index("SpineL"), names.index("SpineF")
     for seed in range(1 if quick else 2):
         random = np.random.default_rng(seed)
-        detected_m = points_m + in_trunk(points_m, names, random.normal(0, RAT_BIAS_M, (len(names), 3)))
+        detected_m = points_m + in_trunk(points_m, trunk, random.normal(0, RAT_BIAS_M, (len(names), 3)))
         middle = np.mean(points_m[RAT_CLIP], axis=(0, 1)) * (1, 1, 0)
         cameras = camera_ring(4, RAT_LENGTH_M, random)
         frames, past = (
@@ -285,9 +283,12 @@ def rat_clips(quick: bool) -> Iterator[Clip]:
         yield Clip("recorded rat", f"rat {seed + 1}", views, body, prior_from_body(body), RAT_FPS, quick)
 
 
-def in_trunk(points_m: np.ndarray, names: Sequence[str], offsets_m: np.ndarray) -> np.ndarray:
-    """Turn keypoint offsets (J, 3), metres, with the heading of the trunk, and return them as (T, J, 3)."""
-    ahead = points_m[:, names.index("SpineF")] - points_m[:, names.index("SpineL")]
+def in_trunk(points_m: np.ndarray, trunk: tuple[int, int], offsets_m: np.ndarray) -> np.ndarray:
+    """Turn keypoint offsets (J, 3), metres, with the heading of the trunk, and return them as (T, J, 3).
+
+    `trunk` has the indices of the points (T, J, 3) at the rear and at the front end of the trunk.
+    """
+    ahead = points_m[:, trunk[1]] - points_m[:, trunk[0]]
     c, s = (ahead[:, :2] / np.linalg.norm(ahead[:, :2], axis=1, keepdims=True)).T[..., None]
     x, y, z = np.broadcast_to(offsets_m, points_m.shape).transpose(2, 0, 1)
     return np.stack([c * x - s * y, s * x + c * y, z], axis=2)

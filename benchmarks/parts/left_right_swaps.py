@@ -30,8 +30,8 @@ import numpy as np
 import pandas as pd
 from arguments import parser_of, runs_of
 from markdown_table import print_header, print_row
-from recordings import recordings
-from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
+from recordings import meta_of, recordings
+from trajectory import GROUPS, PRIOR, body_of, prior_of, view_of
 
 from recon import Camera, FitSettings, Motion, fit_clip, read_keypoints
 from recon.animal.body import other_side

@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
-from trajectory import PRIOR, SIMULATED_CAMERA, body_of, meta_of, prior_of, truth_of
+from recordings import meta_of
+from trajectory import PRIOR, SIMULATED_CAMERA, body_of, prior_of, truth_of
 
 from recon.clip import View
 from recon.fit.trajectory import solve_trajectory

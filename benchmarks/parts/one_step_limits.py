@@ -25,7 +25,7 @@ from unittest.mock import patch
 import numpy as np
 from arguments import parser_of, runs_of
 from markdown_table import print_table
-from wrong_inputs import Case, Clip, Given, cameras_of, fitted, focal, hind_of_second, scaled
+from wrong_inputs import CASES, Case, Clip, Given, cameras_of, fitted, focal, hind_of_second, scaled
 
 from recon import InputError
 from recon.base.arrays import Array
@@ -49,7 +49,7 @@ def slow_clock(clip: Clip, given: Given) -> Given:
     return given.seen(xy_px, given.keypoints.frames[: len(before)])
 
 
-UNTOUCHED = Case(lambda clip, given: given)
+UNTOUCHED = CASES["untouched"]
 ROWS = (
     ("stretch", "untouched", UNTOUCHED),
     ("stretch", "x scaled by 0.75", Case(scaled(0.75, 1.0))),
@@ -60,7 +60,7 @@ ROWS = (
     ("focal length", "focal length x 1.5", Case(focal(1.5))),
     ("focal length", "focal length x 0.7", Case(focal(0.7))),
     ("focal length", "letterboxed", Case(scaled(0.75, 0.75))),
-    ("drift", "two cameras", Case(lambda clip, given: given, two=True)),
+    ("drift", "two cameras", CASES["two cameras"]),
     ("drift", "two, one slow by a frame per second", Case(slow_clock, two=True)),
 )
 LIMIT_TEXTS = {

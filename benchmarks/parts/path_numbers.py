@@ -11,7 +11,6 @@ and of the frame method's default parameters on the run that was left out.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -19,10 +18,12 @@ from unittest import mock
 
 import numpy as np
 from arguments import parser_of, runs_or_exit
+from cheetah_runs import PUBLISHED
 from frame_method import WITHIN, true_peak_m_s
 from markdown_table import print_table
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, fit_clip, read_pose3d
+from recon import fit_clip, read_pose3d
 from recon.fit.regions import radius
 from recon.gait.stances import INTERVAL
 from recon.thesis import path
@@ -62,7 +63,7 @@ class SolvedView:
         return float(speed[t]), float(np.hypot(np.sqrt(variance), SIZE_SIGMA * speed[t]))
 
 
-def solve(run: Path, camera: int, fps: float) -> SolvedView:
+def solve(run: Path, camera: int) -> SolvedView:
     """Solve one view like `recon frame --set path=free`, with the covariances that the path needs."""
     from recon.thesis import solver
 
@@ -74,15 +75,7 @@ def solve(run: Path, camera: int, fps: float) -> SolvedView:
         covariances.append(covariance)
         return covariance, reports
 
-    settings = FitSettings(
-        keypoints=(run / f"cam{camera}.csv",),
-        camera=(run / "scene.json",),
-        camera_name=(f"cam{camera}",),
-        fps=fps,
-        method="frame",
-        skeleton="cheetah-8u",
-        path="free",
-    )
+    settings = fit_settings(run, [camera], method="frame", skeleton=PUBLISHED, path="free")
     with (
         mock.patch.object(solver, "_solve_all", kept),
         mock.patch.object(
@@ -93,7 +86,7 @@ def solve(run: Path, camera: int, fps: float) -> SolvedView:
     solution = frame_solution(motion)
     truth = read_pose3d(run / "truth.csv")
     return SolvedView(
-        run.name, solution.chain, solution.chain_states, covariances[0], fps, true_peak_m_s(motion, truth)
+        run.name, solution.chain, solution.chain_states, covariances[0], motion.fps, true_peak_m_s(motion, truth)
     )
 
 
@@ -115,8 +108,7 @@ def main() -> None:
     parser = parser_of(__doc__, kind="cheetah-runs")
     views = []
     for run in runs_or_exit(parser, parser.parse_args().folder):
-        meta = json.loads((run / "meta.json").read_text())
-        views += [solve(run, camera, meta["fps"]) for camera in meta["cameras"]]
+        views += [solve(run, camera) for camera in meta_of(run)["cameras"]]
     true_m_s = np.array([view.true_peak_m_s for view in views])
     names = np.array([view.run for view in views])
     peaks = {choice: np.array([view.peak(choice) for view in views]) for choice in {*CHOICES, OWN}}

@@ -10,13 +10,13 @@ frames without a tie by `MORE_PX` at most.
 
 from __future__ import annotations
 
-import json
 from unittest import mock
 
 import pandas as pd
 from arguments import parser_of, runs_or_exit
 from frame_method import pose_holds, view_row
 from markdown_table import print_table
+from recordings import meta_of
 
 from recon.thesis import solver
 from recon.thesis.solver import FrameSolver
@@ -72,11 +72,10 @@ def main() -> None:
     for run in runs_or_exit(parser, arguments.folder):
         if arguments.only and not run.name.startswith(tuple(arguments.only)):
             continue
-        meta = json.loads((run / "meta.json").read_text())
-        for camera in meta["cameras"]:
+        for camera in meta_of(run)["cameras"]:
             with mock.patch.object(solver, "_solve_all", FirstSolutions()):
                 for tie_m, views in rows.items():
-                    views.append({"tie_m": tie_m, **view_row(run, camera, meta, {"path_sigma_m": tie_m})})
+                    views.append({"tie_m": tie_m, **view_row(run, camera, {"path_sigma_m": tie_m})})
     table = pd.DataFrame([row for views in rows.values() for row in views])
     if arguments.csv:
         table.to_csv(arguments.csv, index=False)

@@ -13,14 +13,14 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import json
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from arguments import parser_of
+from arguments import parser_of, runs_of
+from recordings import fit_settings, meta_of
 
 from recon import FitSettings
 from recon.api.clip_results import run_clip
@@ -60,13 +60,8 @@ def fits(folder: Path, work: Path) -> Iterator[tuple[str, Motion]]:
             work / "whole", FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
         ),
     )
-    for run in sorted(path.parent for path in folder.glob("*/meta.json")):
-        meta = json.loads((run / "meta.json").read_text(encoding="utf-8"))
-        camera = f"cam{meta['monocular_camera']}"
-        settings = FitSettings(
-            keypoints=(run / f"{camera}.csv",), camera=(run / "scene.json",), camera_name=(camera,), fps=meta["fps"]
-        )
-        yield run.name, fitted(work / run.name, settings)
+    for run in runs_of(folder):
+        yield run.name, fitted(work / run.name, fit_settings(run, [meta_of(run)["monocular_camera"]]))
 
 
 def fitted(out: Path, settings: FitSettings) -> Motion:

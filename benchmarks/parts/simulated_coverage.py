@@ -41,7 +41,7 @@ from functools import cache, partial
 
 import dog
 import numpy as np
-from arguments import parser_of
+from arguments import parser_of, runs_of
 from cameras import PRIOR, run_of, states_of
 from markdown_table import print_table
 from recordings import recordings
@@ -130,8 +130,8 @@ def recorded_motions(animal: str) -> list[Motion]:
         clips = ((clip.fps, clip.markers(body)) for clip in dog.read_clips(recordings("dog-mocap")))
         return [Motion(body, prior, fps, points_m, points_m) for fps, points_m in clips]
     motions = []
-    for path in sorted(recordings("cheetah-runs").resolve().glob("*/meta.json")):
-        run = run_of(path.parent)
+    for folder in runs_of(recordings("cheetah-runs").resolve()):
+        run = run_of(folder)
         body, known = with_detector_offsets(body_of(run.subject), "acinoset"), np.isfinite(run.truth_m).all(axis=(1, 2))
         marked_m = body.detected.pose(states_of(run, np.zeros(3))).points_m
         motions.append(Motion(body, prior_of(PRIOR), run.fps, run.truth_m[known], marked_m[known]))

@@ -11,13 +11,12 @@ reference.
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
+from recon import Motion, Pose3D, fit_clip, read_pose3d
 from recon.fit.regions import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import at_frames, frame_times, net_acceleration
@@ -58,17 +57,8 @@ def main() -> None:
     for method, options in METHODS.items():
         by_run = {}
         for run in runs:
-            meta, truth = json.loads((run / "meta.json").read_text()), read_pose3d(run / "truth.csv")
-            views = [
-                FitSettings(
-                    keypoints=(run / f"cam{camera}.csv",),
-                    camera=(run / "scene.json",),
-                    camera_name=(f"cam{camera}",),
-                    fps=meta["fps"],
-                    **options,
-                )
-                for camera in meta["cameras"]
-            ]
+            truth = read_pose3d(run / "truth.csv")
+            views = [fit_settings(run, [camera], **options) for camera in meta_of(run)["cameras"]]
             by_run[run.name] = np.array([measured(fit_clip(view), truth) for view in views], dtype=float)
         every = np.concatenate([*by_run.values()])
         for name, views in (by_run | {"all": every}).items():

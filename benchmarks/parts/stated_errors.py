@@ -9,15 +9,15 @@ uses only the camera that meta.json names.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from arguments import parser_of, runs_of, settings_of
 from markdown_table import percent, print_table
+from recordings import fit_settings, meta_of
 
-from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
+from recon import Pose3D, evaluate, fit_clip, read_pose3d
 from recon.fit.result import ExpectedError
 
 HEADER = (
@@ -26,16 +26,9 @@ HEADER = (
 )
 
 
-def view_row(run: Path, camera: int, fps: float, options: dict[str, Any]) -> tuple[list[str], bool, bool]:
+def view_row(run: Path, camera: int, options: dict[str, Any]) -> tuple[list[str], bool, bool]:
     """Fit one view, and return its table row and whether pose and position error are within the stated bounds."""
-    settings = FitSettings(
-        keypoints=(run / f"cam{camera}.csv",),
-        camera=(run / "scene.json",),
-        camera_name=(f"cam{camera}",),
-        fps=fps,
-        **options,
-    )
-    motion = fit_clip(settings)
+    motion = fit_clip(fit_settings(run, [camera], **options))
     verdict = motion.verdict
     assert verdict is not None
     score = evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), read_pose3d(run / "truth.csv"))
@@ -62,9 +55,9 @@ def main() -> None:
     options = settings_of(arguments)
     rows = []
     for run in runs_of(arguments.folder):
-        meta = json.loads((run / "meta.json").read_text())
+        meta = meta_of(run)
         cameras = [meta["monocular_camera"]] if arguments.quick else meta["cameras"]
-        rows += [view_row(run, camera, meta["fps"], options) for camera in cameras]
+        rows += [view_row(run, camera, options) for camera in cameras]
     if not rows:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
     print_table(HEADER, [cells for cells, _, _ in rows])

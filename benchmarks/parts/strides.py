@@ -25,7 +25,7 @@ from arguments import parser_of
 from dog import Clip, body_of, marker_gait, read_clips, write_view
 from gait import fitted, plate_stances
 from markdown_table import print_table
-from recordings import recordings
+from recordings import meta_of, recordings
 
 from recon import fit_clip, read_pose3d
 from recon.fit.motion import Motion
@@ -50,12 +50,12 @@ def plate_rows() -> list[dict]:
     """Compare stride length, frequency and duty factor of each view with the plates and with all cameras."""
     rows = []
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
-        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        about = meta_of(run)
         exact = gait(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
         stance_s = np.mean([stance.duration_s for stance in plate_stances(run, about["fps"])])
         truth = exact.speed_m_s * exact.stride_s, 1 / exact.stride_s, stance_s / exact.stride_s
         for camera in about["cameras"]:
-            quantities = ClipAnalysis(fitted(run, camera, about)).quantities
+            quantities = ClipAnalysis(fitted(run, camera)).quantities
             for name, true in zip(CHECKED, truth, strict=True):
                 quantity = quantities[name]
                 low, high = quantity.interval

@@ -14,7 +14,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import json
 import multiprocessing
 import resource
 import tempfile
@@ -29,6 +28,7 @@ import pandas as pd
 from arguments import parser_of, runs_of
 from changed_constants import options_with
 from cheetah_runs import PUBLISHED, view_row
+from recordings import meta_of
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
@@ -125,11 +125,6 @@ class Fit:
     @property
     def mpe_mm(self) -> float:
         return 1000 * score(self.off_m).mean
-
-
-@cache
-def meta_of(run: Path) -> dict:
-    return json.loads((run / "meta.json").read_text())
 
 
 @cache
@@ -339,7 +334,7 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
 
 def _frame_method(runs: Sequence[Path], metas: Sequence[dict]) -> dict:
     """Fit the named views by the frame method with the published settings, and summarise the errors."""
-    frame = [view_row(run, meta["monocular_camera"], PUBLISHED, meta) for run, meta in zip(runs, metas, strict=True)]
+    frame = [view_row(run, meta["monocular_camera"], PUBLISHED) for run, meta in zip(runs, metas, strict=True)]
     return {
         "method": "frame, nine joints, published ratios",
         "named mpjpe_mm": mean(r["mpjpe_mm"] for r in frame),

@@ -30,11 +30,11 @@ import numpy as np
 import pandas as pd
 from arguments import parser_of
 from markdown_table import print_table
-from wrong_inputs import CASES, PLAIN, Case, Clip, Given, clips, fitted, measured
+from wrong_inputs import BOUNDS, CASES, PLAIN, Case, Clip, Given, clips, fitted, measured
 
 from recon import InputError, Motion
 from recon.fit import constants
-from recon.fit.result import TrajectorySolution
+from recon.fit.motion import trajectory_solution
 from recon.fit.terms import SIZE
 
 KINDS = {
@@ -52,8 +52,7 @@ CLEAR = 3.0
 
 def log_likelihood(motion: Motion) -> float:
     """Return the log-likelihood of a motion, up to a constant that depends only on its keypoints."""
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
+    solution = trajectory_solution(motion)
     cost = sum(value for name, value in solution.cost_by_term.items() if name != SIZE)
     for view, noise_px in zip(solution.views, solution.noise_px, strict=True):
         cost += 2.0 * float(np.log(noise_px)[view.present & np.isfinite(solution.markers_m[..., 0])].sum())
@@ -97,9 +96,8 @@ def row(clip: Clip, kind: str, name: str) -> dict[str, Any] | None:
     motion, given = wrong
     assert motion.verdict is not None
     figures = measured(clip, given, motion)
-    bounds = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
     use = motion.verdict.level == "use"
-    beyond = use and any(figures[of] > figures[bound] for of, bound in bounds.items())
+    beyond = use and any(figures[of] > figures[bound] for of, bound in BOUNDS.items())
     gain = np.nan
     if beyond:
         two = len(clip.cameras) == 2

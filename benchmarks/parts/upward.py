@@ -23,8 +23,7 @@ import numpy as np
 from arguments import runs_of
 from cameras import run_of
 from markdown_table import print_table
-from recordings import recordings
-from trajectory import meta_of
+from recordings import meta_of, recordings
 
 from recon import FitSettings, load_skeleton
 from recon.api.clip_inputs import prepare

@@ -31,7 +31,7 @@ import numpy as np
 import pandas as pd
 from arguments import parser_of
 from markdown_table import print_table
-from wrong_inputs import CASES, Case, Clip, Given, about, cameras_of, clips, fitted, measured
+from wrong_inputs import BOUNDS, CASES, Case, Clip, Given, about, cameras_of, fitted, measured, views
 
 from recon import Camera, InputError
 from recon.base.arrays import Array
@@ -42,9 +42,6 @@ from recon.fit.result import Finding
 
 CODE = "another_camera_fits"
 RIGHT, OTHER = "correct camera", "another camera"
-BOUNDS = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
-"""Column of the upper end of the stated interval for each error."""
-SAME = Case(lambda clip, given: given)
 SLOPE = about("y", float(np.degrees(np.arctan(0.03))))
 
 
@@ -95,8 +92,8 @@ def row(clip: Clip, name: str, case: Case, given_name: str) -> dict[str, Any] | 
 
 def rows_of(clip: Clip) -> list[dict[str, Any]]:
     own = clip.cameras[0]
-    rows = [row(clip, RIGHT if name == own else OTHER, SAME, name) for name in cameras_of(clip.run)]
-    rows.append(row(OnSlope(clip.run, clip.cameras), f"{RIGHT}, ground that rises", SAME, own))
+    rows = [row(clip, RIGHT if name == own else OTHER, CASES["untouched"], name) for name in cameras_of(clip.run)]
+    rows.append(row(OnSlope(clip.run, clip.cameras), f"{RIGHT}, ground that rises", CASES["untouched"], own))
     right = {name: case for name, case in CASES.items() if name.startswith("right: ")}
     rows += [row(clip, f"{RIGHT}, {name.removeprefix('right: ')}", case, own) for name, case in right.items()]
     return [one for one in rows if one is not None]
@@ -115,8 +112,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        views = [clip for clip in clips(arguments.views) if len(clip.cameras) == 1]
-        for of_clip in pool.map(rows_of, views):
+        for of_clip in pool.map(rows_of, views()[:: arguments.views]):
             rows += of_clip
     if not rows:
         parser.exit(message="no recordings: nothing measured\n")

@@ -24,7 +24,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import json
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -37,9 +36,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from arguments import parser_of
+from arguments import parser_of, runs_of
 from markdown_table import print_table
-from recordings import recordings
+from recordings import meta_of, recordings
 
 from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
@@ -85,6 +84,8 @@ CAUSES = {
     ),
 }
 """Codes of findings that state the cause of a wrong input."""
+BOUNDS = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
+"""Column of the upper end of the stated interval for each error."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
 OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "pair_disagrees")
 MISPLACED = (*OFF, "pair_refined")
@@ -158,7 +159,7 @@ class Clip:
 
     @property
     def meta(self) -> dict[str, Any]:
-        return json.loads((self.run / "meta.json").read_text())
+        return meta_of(self.run)
 
     @property
     def others(self) -> list[str]:
@@ -179,7 +180,7 @@ class Clip:
 
 
 def cameras_of(run: Path) -> list[str]:
-    return [f"cam{number}" for number in json.loads((run / "meta.json").read_text())["cameras"]]
+    return [f"cam{number}" for number in meta_of(run)["cameras"]]
 
 
 Change = Callable[[Clip, Given], Given]
@@ -401,7 +402,7 @@ def in_unit(per_m: float) -> Change:
 
 def from_other_clip(clip: Clip, given: Given) -> Given:
     """Take the keypoints of the next run of the same kind, from a camera with the same picture size, if any."""
-    runs = sorted(path.parent for path in clip.run.parent.glob("*/meta.json"))
+    runs = runs_of(clip.run.parent)
     for run in runs[runs.index(clip.run) + 1 :] + runs[: runs.index(clip.run)]:
         for name in cameras_of(run):
             other = Clip(run, (name,)).given(name)
@@ -735,11 +736,20 @@ def rows_of(clip: Clip, names: Sequence[str]) -> list[dict[str, Any]]:
     return [row(clip, name) for name in names if CASES[name].two == (len(clip.cameras) == 2)]
 
 
+def all_runs() -> list[Path]:
+    """Return the folders of the runs of cheetahs with and without force plates."""
+    return sorted(run for kind in ("cheetah-runs", "plate-trials") for run in runs_of(recordings(kind)))
+
+
+def views() -> list[Clip]:
+    """Return each camera of each run as a clip of its own."""
+    return [Clip(run, (name,)) for run in all_runs() for name in cameras_of(run)]
+
+
 def clips(every: int) -> Iterator[Clip]:
-    runs = [path.parent for kind in ("cheetah-runs", "plate-trials") for path in recordings(kind).glob("*/meta.json")]
-    views = [Clip(run, (name,)) for run in sorted(runs) for name in cameras_of(run)]
-    pairs = [Clip(run, pair) for run in sorted(runs) for pair in combinations(cameras_of(run), 2)]
-    yield from [*views[::every], *pairs[::every]]
+    """Yield one in `every` views, and one in `every` pairs of a run's cameras."""
+    pairs = [Clip(run, pair) for run in all_runs() for pair in combinations(cameras_of(run), 2)]
+    yield from [*views()[::every], *pairs[::every]]
 
 
 def with_outcomes(table: pd.DataFrame) -> pd.DataFrame:
@@ -750,7 +760,7 @@ def with_outcomes(table: pd.DataFrame) -> pd.DataFrame:
     codes = [{*text.split()} for text in table["codes"]]
     before = [{*str(text).split()} for text in plain["codes"].reindex(keys)]
     own = [{*CASES[name].codes} for name in table["case"]]
-    beyond = (table["pose_mm"] > table["pose bound_mm"]) | (table["position_m"] > table["position bound_m"])
+    beyond = np.any([table[error] > table[bound] for error, bound in BOUNDS.items()], axis=0)
     return table.assign(
         use_beyond=beyond & (table["level"] == "use"),
         doubled=np.nanmax([*times, np.zeros(len(table))], axis=0) >= 2.0,
