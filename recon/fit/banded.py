@@ -185,6 +185,7 @@ def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> 
     shared_gradient: Array | float = 0.0
     cost = 0.0
     for window in eliminated(pieces, damping, ahead=ahead):
+        # With many shared unknowns, it is faster to keep a window, and to solve only for the step in the end.
         kept += window.factor.band.size + window.whitened.size
         is_kept = window.whitened.shape[-1] >= _MIN_BLOCK_COLUMNS and kept < _MAX_KEPT_VALUES
         windows.append((window.without_piece() if is_kept else window.solved(), window.reduced()))

@@ -36,7 +36,10 @@ class TrajectoryOptions:
     """
 
     fast: bool = False
-    """Whether the search is shortened by fewer starts, only one of them solved to the end, and looser tolerances."""
+    """Whether the search is shortened by fewer starts and rounds, and by looser tolerances.
+
+    Only one start is then solved to the end.
+    """
     ground: Literal["auto", "none"] = "auto"
     """Whether feet in stance are assumed to be at rest and on one plane ("auto"), or not ("none")."""
     sigma_px: float = 3.0

@@ -215,7 +215,7 @@ GROUND_FOOT_M = 0.04
 NOISE_ROUNDS = 3
 """Number of rounds in which noise, contacts and ground are estimated (step 4 of `recon.fit.trajectory`).
 
-A fast fit has one round.
+A fast fit has one round, or two if it estimates the body's shape.
 """
 TOLERANCE = 1e-5
 """Minimum relative decrease of the cost, expected from the next step, with which the search continues.

@@ -305,7 +305,7 @@ def _reduced(clip: ClipProblem, segment: SegmentFit) -> _ReducedProblem:
     problem = replace(problem, terms=terms, shared=shared, nuisance=())
     normal = problem.normal(segment.estimate.states, problem.expected() | dict(segment.estimate.shared))
     (window,) = eliminated([normal], bounded=True)
-    Y, S = np.roll(window.solved(), -1, axis=2), window.reduced()
+    Y, S = np.roll(window.solved(), -1, axis=2), window.reduced()  # both with the gradient in the last column
     n = len(S) - 6 * V
     by_poses = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
     remaining = S[n:, n:] - S[n:, :n] @ by_poses

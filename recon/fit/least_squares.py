@@ -220,7 +220,7 @@ class LeastSquares:
             border, corner, shared_gradient = np.zeros((n + has_next, D, P)), np.zeros((P, P)), np.zeros(P)
             self._linear_blocks(start, T, blocks[:n])
             blocks[n:] = 0.0
-            if overlap is None:
+            if overlap is None:  # the priors of the shared unknowns count once, in the first piece
                 corner, shared_gradient = np.diag(precision), deviation * precision
             else:
                 blocks[0] += overlap[0]

@@ -142,13 +142,8 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
                 pull += gradient / clip.correlation_frames
             step = -np.linalg.solve(total, pull)
             values = values + step
-            solved = [
-                (
-                    shaped_clip := replace(clip, body=shape.applied(first_clip.body, values)),
-                    refined(shaped_clip, segment),
-                )
-                for first_clip, (clip, segment) in zip(first_clips, solved, strict=True)
-            ]
+            shaped_clips = [replace(clip, body=shape.applied(clip.body, values)) for clip in first_clips]
+            solved = [(clip, refined(clip, segment)) for clip, (_, segment) in zip(shaped_clips, solved, strict=True)]
             converged = bool(step @ total @ step < CLOSE_ENOUGH**2 * len(step))
             if converged:
                 break
