@@ -488,7 +488,8 @@ def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
                     line = [x - 0.32, x + 0.32]
                     axes.fill_between(line, low, high, color=colour, alpha=0.25, lw=0)
                     axes.plot(line, [mean, mean], color=colour, lw=1.4)
-            labels = [fill(name, 14) for name in groups["group"]]
+            counts = [int(clips.loc[clips["group"] == group, name].notna().sum()) for group in groups["group"]]
+            labels = [f"{fill(group, 14)}\nn = {count}" for group, count in zip(groups["group"], counts, strict=True)]
             axes.set_xticks(range(len(labels)), labels, rotation=30 if len(labels) > 3 else 0)
             axes.set_title(QUANTITIES[name][0])
         dots = "runs" if "first_clip" in clips else "clips"

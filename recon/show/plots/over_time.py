@@ -310,7 +310,7 @@ def phase_portraits(
         colours = style.time_colours(np.concatenate([p.time_s[_known(p)] for p in portraits.values()]))
         for axes, (name, portrait) in zip(panels, portraits.items(), strict=False):
             value, fraction = (closed or {}).get(name), (shares or {}).get(name, np.nan)
-            heading = name.removesuffix("_rad") + (
+            heading = name.removesuffix("_rad").replace("_", " ") + (
                 f"\n{percent(fraction)} from pixels" if np.isfinite(fraction) else ""
             )
             if value is not None:
@@ -469,7 +469,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                     style.draw_band(right, time_s, field.speed_m_s, field.speed_sigma_m_s, colour)
                 right.set_ylim(0, top_m_s)
                 right.locator_params(axis="y", nbins=3)
-            text = f"mean {plus_minus(speed, sigma, 'm/s', default='.2f')}"
+            text = f"mean {plus_minus(speed, style.BAND_SIGMAS * sigma, 'm/s', default='.2f')}"
             right.set_title(text, loc="right", pad=2, fontsize=style.SMALL, color=style.GREY if is_grey else "k")
         margin_s = 0.08 * float(np.ptp(time_s)) or 0.5
         panels[0, 0].set_xlim(time_s[0] - margin_s, time_s[-1] + margin_s)
@@ -478,7 +478,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             axes.tick_params(bottom=False)
         panels[-1, 0].set_xlabel("time (s);  → along the parent, ↑ perpendicular to it")
         banded = any(np.isfinite(field.speed_sigma_m_s).any() for field in fields)
-        panels[-1, 1].set_xlabel("time (s)" + (";  band: 90 %" if banded else ""))
+        panels[-1, 1].set_xlabel("time (s)" + (";  band, ±: 90 %" if banded else ""))
         panels[len(fields) // 2, 1].set_ylabel("speed in the plane (m/s)")
     return figure
 

@@ -357,8 +357,10 @@ class Editor {
   }
 
   tell(state) {
-    const line = ({ level, expected_mm: mm, median_px: px, outliers }) => [level,
-      mm === null ? "" : `${mm.toFixed(1)} mm expected`, px === null ? "" : `${px.toFixed(2)} px median`, `${outliers} outliers`].filter(Boolean).join(", ");
+    const line = ({ level, expected_mm: mm, median_px: px, outliers }) => [level && `verdict “${level}”`,
+      mm === null ? "" : `expected pose error ${mm.toFixed(0)} mm`,
+      px === null ? "" : `median keypoint error ${px.toFixed(px < 10 ? 1 : 0)} px`,
+      outliers === 1 ? "1 outlier" : `${outliers} outliers`].filter(Boolean).join(", ");
     document.querySelector(".verdict-line").textContent = state.version === 0 ? line(state.now) : `before: ${line(state.before)} · now: ${line(state.now)}${state.is_whole ? "" : " (quick fit; the whole one follows)"}`;
     this.root.querySelector(".problem").textContent = state.problem;
     this.root.querySelector(".saved").textContent = `${this.corrections.all.length} corrected, saved in ${state.file}`;
