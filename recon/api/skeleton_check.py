@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.animal.anatomy import joint_and_side
 from recon.animal.body import MAX_ANIMAL_M, Body, other_side
 from recon.animal.bones import bones_of
 from recon.animal.chain import load_chain
@@ -46,6 +47,7 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
         "feet": body.feet_by_label(),
         "remarks": [*_remarks(body)],
         "bones": [*_bones(body)],
+        "joint_angles": [*_joint_angles(body)],
         "parts": [*_segments(body)],
         **_published(name_or_path, body),
         "markers": [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in body.tree.markers],
@@ -75,6 +77,14 @@ def _bones(body: Body) -> Iterator[dict[str, Any]]:
     for bone in bones_of(body):
         sigma_m = bone.length_m * float(np.hypot(body.size_sigma, LENGTH_SIGMA))
         yield {"bone": bone.name, "connects": list(bone.connects), "length_m": bone.length_m, "sigma_m": sigma_m}
+
+
+def _joint_angles(body: Body) -> Iterator[dict[str, Any]]:
+    """Yield the joint angles of an analysis on the left side and in the middle, each with its three markers."""
+    for name, markers in body.anatomy.items():
+        joint, side = joint_and_side(name)
+        if side != "right":
+            yield {"joint": joint, "markers": list(markers)}
 
 
 def _segments(body: Body) -> Iterator[dict[str, Any]]:

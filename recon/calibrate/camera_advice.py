@@ -22,7 +22,7 @@ from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.least_squares import Estimate
 from recon.fit.posterior import posterior
-from recon.gait.flexion import MODEL_RAD, flexion_variance
+from recon.gait.flexion import MODEL_RAD
 from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
@@ -170,9 +170,7 @@ def precision_of(
     result = posterior(problem, body, estimate, max(constants.ERROR_TIME_S * FPS, 1.0))
     if isinstance(target, tuple):
         rows = [[*body.anatomy].index(joint) for joint in target]
-        variance, prior_variance = (
-            flexion_variance(body, states, np.sqrt(angles))[rows].mean(axis=0) for angles in result.angle_variance
-        )
+        variance, prior_variance = result.flexion_variance[..., rows].mean(axis=2)
         fraction = np.clip(1.0 - variance / prior_variance, 0.0, 1.0)
         return float(np.median(np.sqrt(variance + MODEL_RAD**2))), float(np.median(fraction))
     if target in body.state_names[4:]:

@@ -82,6 +82,8 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
             for bone in bones
         ]
         yield table_of("bone", "connects", numbers=("length m",), rows=rows)
+    if joints := check["joint_angles"]:
+        yield table_of("joint angle", "from", "over", "to", rows=[(j["joint"], *j["markers"]) for j in joints])
     names = ("yaw", "pitch", "roll")
     rows = []
     for part in check["parts"]:

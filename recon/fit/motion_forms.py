@@ -17,7 +17,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import MANIFEST, read_manifest
 from recon.base.records import load_record
-from recon.fit.result import SHAPES, TrajectorySolution
+from recon.fit.result import SHAPES, TRAJECTORY_SHAPES, TrajectorySolution
 from recon.geometry.kinematics import YAW
 
 if TYPE_CHECKING:
@@ -93,9 +93,11 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
 def _misfits(motion: Motion) -> list[tuple[str, str, str]]:
     """Return the name, shape and expected shape of every array of a motion that has the wrong shape."""
     sizes = {"T": len(motion.frames), "J": len(motion.joints), "V": len(motion.sources), "D": motion.body.n_state}
-    sizes |= {"F": len(motion.body.feet), "A": motion.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
+    sizes |= {"F": len(motion.body.feet), "A": motion.body.n_state - YAW, "K": len(motion.body.anatomy)}
+    sizes |= {"2": 2, "3": 3, "4": 4}
     solution = motion.solution
-    arrays = {f"solution.{name}": (getattr(solution, name), letters) for name, letters in SHAPES.items()}
+    shapes = SHAPES if solution.flexion_sigma_rad is None else TRAJECTORY_SHAPES
+    arrays = {f"solution.{name}": (getattr(solution, name), letters) for name, letters in shapes.items()}
     arrays["solution.flags"] = (np.zeros(len(solution.flags)), "T")
     arrays["solution.views"] = (np.zeros(len(solution.views)), "V")
     for i, source in enumerate(motion.sources):

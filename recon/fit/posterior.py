@@ -7,7 +7,8 @@ fractions, for a given size of the animal. `with_size` adds the uncertainty of t
 **Idea.** Near its minimum the cost is almost quadratic, so that the inverse of its curvature is the covariance of all
 unknowns (part 1). Derivatives of the joints turn it into the covariance of the joints (part 2). Errors that persist
 over many frames are added (part 3), and a comparison with the variances without pixels gives the information fractions
-(part 4).
+(part 4). The angles' covariances give the variances of the flexions of the anatomical joints, most of which follow
+from several angles whose errors are correlated.
 
 During a fit, `prior_misfit_of` gives the new weight of the prior (part 5), and `pair_poses_of` the probabilities of
 hypotheses about the poses of two cameras (`recon.fit.pair_poses`). Regions and
@@ -60,6 +61,7 @@ import numpy as np
 from scipy.linalg.blas import dtrmm
 
 from recon.animal.body import Body
+from recon.animal.flexion import flexion_by_angles
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
 from recon.clip import densest_window
@@ -110,6 +112,13 @@ class Posterior:
 
     The first index is 0 for variances with the pixels, and 1 for variances without them.
     """
+    flexion_variance: Array
+    """Variances of the flexions of the A anatomical joints for a given size, rad^2, shape (2, T, A).
+
+    The first index is as in `angle_variance`.
+    """
+    flexion_by_size: Array
+    """Derivatives of the flexions with respect to the animal's size, shape (T, A), rad."""
     state_by_size: Array
     """Derivatives of the states with respect to the size, shape (T, D).
 
@@ -415,6 +424,7 @@ def posterior(
     at_minimum = curvature(problem, estimate, variance_factor, normal)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     state_by_size, by_size_alone, angle_variance = np.empty((T, D)), np.empty((T, D)), np.empty((2, T, D - YAW))
+    flexion_variance, flexion_by_size = np.empty((2, T, len(body.anatomy))), np.empty((T, len(body.anatomy)))
 
     def filled() -> Iterator[Normal]:
         """Fill the arrays window by window, and yield each window's normal equations without shared unknowns."""
@@ -424,13 +434,16 @@ def posterior(
                 at_minimum, body, states[rows], state_covariance, by_others, window_by_size, size
             )
             angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
+            by_angles = flexion_by_angles(body, states[rows])
+            flexion_variance[0, rows] = _flexion_variances(by_angles, state_covariance)
+            flexion_by_size[rows] = (by_angles @ window_by_size[:, YAW:, None])[..., 0]
             state_by_size[rows] = window_by_size
             by_size_alone[rows] = window_by_size + by_others @ at_minimum.others_by_size
             piece = window.piece.without_shared()
-            del window, by_others  # frees memory before the next window is computed
+            del window, by_others, by_angles  # frees memory before the next window is computed
             yield piece
 
-    data_share, angle_variance[1] = _without_pixels(problem, body, estimate, filled())
+    data_share, angle_variance[1], flexion_variance[1] = _without_pixels(problem, body, estimate, filled())
     for covariance in (absolute, relative):  # added in place, because the covariances of a long clip are large
         covariance += np.multiply.outer(at_minimum.excess_bias_m2, np.eye(3))
         covariance *= variance_factor
@@ -440,6 +453,8 @@ def posterior(
         relative_covariance_m2=relative,
         data_share=data_share,
         angle_variance=variance_factor * angle_variance,
+        flexion_variance=variance_factor * flexion_variance,
+        flexion_by_size=flexion_by_size,
         state_by_size=state_by_size,
         state_by_size_alone=by_size_alone,
         joint_by_size_m=by_size,
@@ -493,8 +508,10 @@ def _joint_covariances(
 
 def _without_pixels(
     problem: LeastSquares, body: Body, estimate: Estimate, with_pixels: Iterable[Normal]
-) -> tuple[Array, Array]:
-    """Return the joints' information fraction (J,), and the angles' variance without the detections (T, D - 3), rad^2.
+) -> tuple[Array, Array, Array]:
+    """Return the joints' information fraction, and the variances of angles and flexions without the detections.
+
+    The shapes are (J,), (T, D - 3) and (T, A), the units of the variances rad^2.
 
     `with_pixels` are the pieces of the normal equations with the detections, without shared unknowns. Priors do not
     determine a frame's position and heading. Position and heading are therefore fixed for the information fraction,
@@ -514,11 +531,14 @@ def _without_pixels(
         strict=True,
     )
     variances, angle_variance = np.empty((2, T, len(body.markers))), np.empty((T, D - YAW))
+    flexion_variance = np.empty((T, len(body.anatomy)))
     for *of_fixed, free in windows:
         rows, covariances = free.rows, [window.marginal_blocks()[:, 0] for window in of_fixed]
         variances[:, rows] = _relative_variances(body, states[rows], covariances)
-        angle_variance[rows] = np.diagonal(free.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
-    return _data_share(*variances), angle_variance
+        state_covariance = free.marginal_blocks()[:, 0]
+        angle_variance[rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
+        flexion_variance[rows] = _flexion_variances(flexion_by_angles(body, states[rows]), state_covariance)
+    return _data_share(*variances), angle_variance, flexion_variance
 
 
 def _at_fixed_position(piece: Normal) -> Normal:
@@ -596,6 +616,18 @@ def _relative_variances(body: Body, states: Array, angle_covariances: Sequence[A
         by_angles = by_angles - by_angles.mean(axis=1, keepdims=True)
         for variance, covariance in zip(variances, angle_covariances, strict=True):
             variance[rows] = np.einsum("tjad,tjad->tj", _times(by_angles, covariance[rows]), by_angles)
+    return variances
+
+
+def _flexion_variances(by_angles: Array, state_covariance: Array) -> Array:
+    """Return the variances (n, A) in rad^2 of flexions with the derivatives (n, A, D - 3) by the angles.
+
+    `state_covariance` are the covariances (n, D, D) of the frames' unknowns.
+    """
+    variances = np.empty(by_angles.shape[:2])
+    for first in range(0, len(variances), _FRAMES_AT_ONCE):
+        rows = slice(first, first + _FRAMES_AT_ONCE)
+        variances[rows] = np.sum(by_angles[rows] @ state_covariance[rows, YAW:, YAW:] * by_angles[rows], axis=2)
     return variances
 
 

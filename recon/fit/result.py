@@ -127,11 +127,14 @@ SHAPES = {
     "contact": "TF",
 }
 """Shapes of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
+TRAJECTORY_SHAPES = SHAPES | {"flexion_sigma_rad": "TK"}
+"""Shapes of the arrays of a solution of the trajectory method; K is the number of anatomical joints."""
 SINGLE = (
     "covariance_m2",
     "relative_covariance_m2",
     "angle_sigma_rad",
     "angle_data_share",
+    "flexion_sigma_rad",
     "noise_px",
     "weight",
 )
@@ -320,6 +323,14 @@ class Solution(Brief):
         return None
 
     @property
+    def flexion_sigma_rad(self) -> Array | None:
+        """Return the standard deviations (T, K) of the flexions of the K anatomical joints (`Body.anatomy`), rad.
+
+        Return None if the method does not compute them from the covariances of the angles.
+        """
+        return None
+
+    @property
     def posterior_factor(self) -> float:
         """Return the factor that scales the stated standard deviations of poses to the poses' usual errors."""
         return 1.0
@@ -386,6 +397,8 @@ class TrajectorySolution(Solution):
     sideslip_sigma_rad: float
     shape: SolvedShape | None = None
     """Estimated lengths and keypoint offsets; None if they were not estimated."""
+    flexion_sigma_rad: Array | None = None  # type: ignore[assignment]
+    """Standard deviations (T, K) of the flexions of the K anatomical joints, rad; None in files of earlier versions."""
 
     method: ClassVar = "trajectory"
     record_tag: ClassVar = "trajectory"

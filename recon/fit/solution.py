@@ -19,7 +19,7 @@ from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import LeastSquares, SharedUnknown
 from recon.fit.posterior import Posterior, posterior_with_reestimated_noise, with_size
-from recon.fit.result import SHAPES, SINGLE, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
+from recon.fit.result import SINGLE, TRAJECTORY_SHAPES, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
 from recon.fit.segment import SegmentFit, refined, solved_views, with_solved_cameras, with_solved_shape
 from recon.fit.starts import ALTERNATIVE_COST
 from recon.fit.terms import (
@@ -153,19 +153,19 @@ def _posterior_of(unshaped: ClipProblem, body: Body, segment: SegmentFit) -> Pos
 
 
 class _ClipArrays:
-    """Arrays of a solution (`SHAPES`), filled segment by segment; NaN in frames outside all segments."""
+    """Arrays of a solution (`TRAJECTORY_SHAPES`), filled segment by segment; NaN in frames outside all segments."""
 
     def __init__(self, clip: ClipProblem) -> None:
         sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
-        sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
-        self.shapes = {name: tuple(sizes[letter] for letter in letters) for name, letters in SHAPES.items()}
+        sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW, "K": len(clip.body.anatomy)}
+        self.shapes = {name: tuple(sizes[letter] for letter in letters) for name, letters in TRAJECTORY_SHAPES.items()}
         self.arrays: dict[str, Array] = {}
 
     def by_frame(self, name: str) -> Array:
         """Return a view of the named array with the frames on the first axis."""
         if name not in self.arrays:
             self.arrays[name] = np.full(self.shapes[name], np.nan)
-        return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
+        return np.moveaxis(self.arrays[name], TRAJECTORY_SHAPES[name].index("T"), 0)
 
     def fill(self, name: str, rows: slice, values: Array) -> None:
         """Set the named array in the frames `rows` to `values`.
@@ -177,16 +177,16 @@ class _ClipArrays:
         if values.shape == self.shapes[name]:  # stored without a copy, which would be large for a whole clip
             self.arrays[name] = values
         else:
-            self.by_frame(name)[rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
+            self.by_frame(name)[rows] = np.moveaxis(values, TRAJECTORY_SHAPES[name].index("T"), 0)
 
     def complete(self) -> None:
         """Add every array that no segment has filled, with NaN in all frames."""
-        for name in SHAPES:
+        for name in TRAJECTORY_SHAPES:
             self.by_frame(name)
 
     def clear(self, frames: Bools) -> None:
         """Set all arrays to NaN in the frames of a mask (T,)."""
-        for name in SHAPES:
+        for name in TRAJECTORY_SHAPES:
             self.by_frame(name)[frames] = np.nan
 
 
@@ -313,6 +313,10 @@ def _segment_arrays(
         np.sqrt(segment_posterior.angle_variance[0] + (size_sigma * segment_posterior.state_by_size[:, YAW:]) ** 2),
     )
     yield "angle_data_share", segment_posterior.angle_data_share
+    yield (
+        "flexion_sigma_rad",
+        np.sqrt(segment_posterior.flexion_variance[0] + (size_sigma * segment_posterior.flexion_by_size) ** 2),
+    )
     yield "contact", segment.contact.copy()
     yield "noise_px", segment.noise_px.copy()
     yield "weight", np.array(weight)

@@ -1,13 +1,11 @@
 """Measure anatomical joint angles in degrees, over time and over the stride.
 
-The skeleton's file lists the three markers that define each joint (`[anatomy]`). The flexion is the angle between the
-line from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the
-segment that carries the first marker. A straight joint has a flexion of 0, and a hyperextended joint a negative one.
+The angles are flexions, which `recon.animal.flexion` defines.
 
 Standard deviations combine the uncertainty of the fit's angles with `MODEL_RAD`, which allows for the skeleton's fixed
-joint axes. The uncertainty of the angles is propagated linearly, as if they were independent. Curves over a stride are
-means over the strides of the limb's own foot. The uncertainty of the fit and the standard deviation between strides are
-reported separately.
+joint axes. The uncertainty of the angles is propagated linearly, with their covariances, or as if they were independent
+if the fit does not state the uncertainty of flexions. Curves over a stride are means over the strides of the limb's own
+foot. The uncertainty of the fit and the standard deviation between strides are reported separately.
 """
 
 from __future__ import annotations
@@ -17,13 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side, sagittal_angle
-from recon.animal.body import Body, Side
+from recon.animal.anatomy import GIRDLE, joint_and_side
+from recon.animal.body import Side
+from recon.animal.flexion import flexion_by_angles, flexion_rad
 from recon.base.arrays import Array, Brief
 from recon.base.numbers import NORMAL_90
 from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
-from recon.geometry.kinematics import Marker, Tree
 
 MODEL_RAD = np.radians(5.0)
 """Standard deviation of a joint angle due to motion that a skeleton of hinges cannot follow, rad.
@@ -97,40 +95,6 @@ class Extreme:
     percent_high: float
 
 
-def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
-    """Return the flexion of the A anatomical joints (`body.anatomy`) in states (T, D), shape (A, T), rad.
-
-    Angles are between -90 and 270 degrees, because no joint extends 90 degrees beyond straight, while a folded joint
-    may bend by more than 180 degrees.
-    """
-    points_m = body.tree.pose(states, size).points_m
-    orientations = body.tree.orientations(states)
-    segment_names = [segment.name for segment in body.tree.segments]
-    carriers = {marker.name: segment_names.index(marker.segment) for marker in body.tree.markers}
-    angles = []
-    for name, markers in body.anatomy.items():
-        first, middle, last = (points_m[:, body.markers.index(marker)] for marker in markers)
-        left = orientations[:, carriers[markers[0]], :, 1]
-        angle = sagittal_angle(middle - first, last - middle, left) * FLEXES_CAUDALLY[joint_and_side(name)[0]]
-        angles.append(np.mod(angle + np.pi / 2, 2 * np.pi) - np.pi / 2)
-    return np.array(angles).reshape(-1, len(states))
-
-
-def _gradients(proximal: Array, distal: Array, left: Array) -> tuple[Array, Array, Array]:
-    """Return the derivatives of `sagittal_angle` with respect to its three arguments, each of shape (T, 3)."""
-    sideways = np.sum(proximal * left, axis=1, keepdims=True), np.sum(distal * left, axis=1, keepdims=True)
-    normal = np.cross(proximal, distal)
-    sine = np.sum(normal * left, axis=1, keepdims=True)
-    cosine = np.sum(proximal * distal, axis=1, keepdims=True) - sideways[0] * sideways[1]
-    square = sine**2 + cosine**2
-    sine, cosine = sine / square, cosine / square
-    return (
-        cosine * np.cross(distal, left) - sine * (distal - sideways[1] * left),
-        cosine * np.cross(left, proximal) - sine * (proximal - sideways[0] * left),
-        cosine * normal + sine * (sideways[1] * proximal + sideways[0] * distal),
-    )
-
-
 def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
     """Return the flexion of every anatomical joint of the skeleton over the clip."""
     body, posed = motion.body, np.flatnonzero(motion.solved)
@@ -139,34 +103,16 @@ def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
     angle = np.full((len(body.anatomy), len(motion.frames)), np.nan)
     sigma = angle.copy()
     for rows in np.array_split(posed, -(-len(posed) // _ROWS_AT_ONCE)):
-        states, angle_sigma = motion.states[rows], motion.solution.angle_sigma_rad[rows]
+        states, stated = motion.states[rows], motion.solution.flexion_sigma_rad
         angle[:, rows] = flexion_rad(body, states, motion.size)
-        sigma[:, rows] = np.sqrt(flexion_variance(body, states, angle_sigma, motion.size) + MODEL_RAD**2)
+        if stated is not None:
+            variance = stated[rows] ** 2
+        else:  # the covariances of the angles are unknown
+            by_angles = flexion_by_angles(body, states, motion.size)
+            variance = np.sum((by_angles * motion.solution.angle_sigma_rad[rows, None]) ** 2, axis=2)
+        sigma[:, rows] = np.sqrt(variance + MODEL_RAD**2).T
     joints = map(joint_and_side, body.anatomy)
     return tuple(JointFlexion(joint, side or motion.side, angle[i], sigma[i]) for i, (joint, side) in enumerate(joints))
-
-
-def flexion_variance(body: Body, states: Array, angle_sigma: Array, size: float = 1.0) -> Array:
-    """Return the variance of the A flexions due to independent errors of the fit's angles, shape (A, T), rad^2.
-
-    `angle_sigma` are the standard deviations of the fit's angles, shape (T, D - 3), rad. `MODEL_RAD` is not included.
-    """
-    segment_of, signs = {marker.name: marker.segment for marker in body.tree.markers}, (0, 1)
-    # Two points on the left axis of a segment, 1 m apart, have the derivatives of the axis.
-    carriers = dict.fromkeys(segment_of[markers[0]] for markers in body.anatomy.values())
-    on_axes = [Marker(f"{segment} {side}", segment, (0.0, side - 0.5, 0.0)) for segment in carriers for side in signs]
-    tree = Tree(body.tree.segments, (*body.tree.markers, *on_axes))
-    row_of = {marker.name: row for row, marker in enumerate(tree.markers)}
-    posed = tree.pose_with_jacobian(states, size)
-    variance = np.empty((len(body.anatomy), len(states)))
-    for i, markers in enumerate(body.anatomy.values()):
-        rows = [row_of[name] for name in (*markers, *(f"{segment_of[markers[0]]} {side}" for side in signs))]
-        first, middle, last, right, left = np.moveaxis(posed.points_m[:, rows], 1, 0)
-        by_proximal, by_distal, by_left = _gradients(middle - first, last - middle, (left - right) / size)
-        by_point = [-by_proximal, by_proximal - by_distal, by_distal, -by_left / size, by_left / size]
-        change = np.einsum("tpk,tpkd->td", np.stack(by_point, axis=1), posed.jacobian[:, rows, :, 3:])
-        variance[i] = np.sum((change * angle_sigma) ** 2, axis=1)
-    return variance
 
 
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from recon.animal.body import Body
 from recon.base.documents import builtin_file
 from recon.base.file_names import encodable
 from recon.base.package import version
@@ -99,14 +100,31 @@ def _meanings() -> dict[str, dict[str, str]]:
     return tomllib.loads(builtin_file("show", "meanings.toml").read_text(encoding="utf-8"))
 
 
-def dictionary(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return the data dictionary, with a row for each column of each table that gives its unit and meaning."""
+def dictionary(tables: dict[str, pd.DataFrame], body: Body) -> pd.DataFrame:
+    """Return the data dictionary, with a row for each column of each table that gives its unit and meaning.
+
+    The meanings of joint angles name the markers of `body` that define them.
+    """
     rows = [
-        (name, column, _unit_in_words(table, column), meaning_of(column, name), f"{name}.csv")
+        (
+            name,
+            column,
+            _unit_in_words(table, column),
+            _with_markers(meaning_of(column, name), body),
+            f"{name}.csv",
+        )
         for name, table in tables.items()
         for column in table.columns
     ]
     return pd.DataFrame(rows, columns=["table", "variable", "unit", "meaning", "file"])
+
+
+def _with_markers(meaning: str, body: Body) -> str:
+    """Return the meaning of a column, for a joint's flexion with the markers between which the angle is measured."""
+    for joint, (first, middle, last) in body.anatomy.items():
+        of_joint = f"flexion of the {joint.replace('_', ' ')};"
+        meaning = meaning.replace(of_joint, f"{of_joint[:-1]}, from {first} over {middle} to {last};")
+    return meaning
 
 
 def _unit_in_words(table: pd.DataFrame, column: str) -> str:
@@ -151,7 +169,7 @@ def write_long(analysis: ClipAnalysis, folder: Path, decimal_comma: bool = False
     """Write the long table and the data dictionary as CSV, separated by semicolons if decimals have commas."""
     tables = analysis_tables(analysis)
     separator, decimal = (";", ",") if decimal_comma else (",", ".")
-    for name, table in ((LONG, long_table(tables)), (DICTIONARY, dictionary(tables))):
+    for name, table in ((LONG, long_table(tables)), (DICTIONARY, dictionary(tables, analysis.motion.body))):
         texts = table.select_dtypes(exclude=["number"]).columns
         safe = table.assign(**{column: table[column].map(guarded) for column in texts})
         safe.to_csv(folder / name, index=False, sep=separator, decimal=decimal, lineterminator="\n")
@@ -178,7 +196,7 @@ def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
         ["The sheet long has a row for each number, including those of tables with many columns."],
         [],
     ]
-    _fill(book.create_sheet("README"), front, dictionary(tables))
+    _fill(book.create_sheet("README"), front, dictionary(tables, motion.body))
     _fill(book.create_sheet("long"), [], long_table(tables).head(MAX_ROWS))
     for name, table in tables.items():
         if len(table.columns) <= MAX_COLUMNS:

@@ -162,6 +162,7 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
         relative_covariance_m2=covariance,
         angle_sigma_rad=np.full_like(solution.angle_sigma_rad, 1e-4),
         segments=(),
+        flexion_sigma_rad=np.full((len(states), len(solution.body.anatomy)), 1e-4),
     )
     first, *rest = motion.sources
     first = replace(first, keypoints=replace(first.keypoints, fps=fps))

@@ -48,6 +48,13 @@ def test_a_skeleton_without_an_anatomy_has_no_bones():
     assert bones_of(replace(load_skeleton("cheetah-24"), anatomy={})) == ()
 
 
+def test_skeleton_check_lists_the_markers_of_joint_angles():
+    joints = json.loads(run("skeleton", "check", "cheetah-24", "--json").out)["joint_angles"]
+    assert {"joint": "hip", "markers": ["spine", "l_hip", "l_back_knee"]} in joints
+    assert len(joints) == len({joint["joint"] for joint in joints}) == 8
+    assert "l_front_ankle   l_front_paw" in run("skeleton", "check", "cheetah-24").out
+
+
 def test_skeleton_check_prints_bones_with_their_joints():
     ended = run("skeleton", "check", "cheetah-24")
     assert "upper arm" in ended.out

@@ -11,11 +11,14 @@ import pandas as pd
 import pytest
 
 from recon.animal.anatomy import FLEXES_CAUDALLY
+from recon.animal.flexion import flexion_by_angles, flexion_rad
 from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.api.clip_results import problem_of
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
+from recon.fit.sampling import draws
 from recon.gait.clip import ClipAnalysis
-from recon.gait.flexion import PERCENT, StrideCurve, extreme, flexion_rad, flexion_variance, joint_flexions
+from recon.gait.flexion import MODEL_RAD, PERCENT, StrideCurve, extreme, joint_flexions
 from recon.io.positions import read_pose3d
 from recon.show.plots.flexion import joint_flexion as draw
 from recon.show.tables import joint_flexion, joint_flexion_stride, vector_field
@@ -80,17 +83,29 @@ def test_flexion_does_not_change_with_heading_roll_and_position():
 
 
 @pytest.mark.parametrize("name", ["cheetah-24", "horse-22"])
-def test_the_variance_of_a_flexion_follows_from_central_differences(name):
+def test_the_derivatives_of_a_flexion_agree_with_central_differences(name):
     body, size, step = load_skeleton(name), 1.3, 1e-5
-    rng = np.random.default_rng(0)
-    rows = rng.normal(0.0, 0.4, (5, len(body.state_names)))
-    sigma = rng.uniform(0.01, 0.2, (5, len(body.state_names) - 3))
-    expected = np.zeros((len(body.anatomy), 5))
+    rows = np.random.default_rng(0).normal(0.0, 0.4, (5, len(body.state_names)))
+    derivatives = flexion_by_angles(body, rows, size)
     for k, shift in enumerate(step * np.eye(len(body.state_names))[3:]):
         change = flexion_rad(body, rows + shift, size) - flexion_rad(body, rows - shift, size)
-        expected += ((np.mod(change + np.pi, 2 * np.pi) - np.pi) / (2 * step) * sigma[:, k]) ** 2
-    assert expected.min() > 1e-6
-    np.testing.assert_allclose(flexion_variance(body, rows, sigma, size), expected, rtol=1e-6)
+        expected = (np.mod(change + np.pi, 2 * np.pi) - np.pi) / (2 * step)
+        np.testing.assert_allclose(derivatives[:, :, k].T, expected, atol=1e-6)
+    assert np.abs(derivatives).max() > 0.9
+
+
+def test_the_uncertainty_of_a_flexion_is_the_spread_of_draws_from_the_posterior(fitted, whole_results):
+    """The elbow follows from two angles, whose errors are correlated."""
+    stated = np.median(fitted.solution.flexion_sigma_rad, axis=0)
+    states = np.stack([draw.states for draw in draws(problem_of(fitted, whole_results), fitted.solution, 400)])
+    flexions = np.unwrap(np.array([flexion_rad(BODY, rows) for rows in states]), axis=0)
+    spread = np.median(flexions.std(axis=0), axis=1)
+    np.testing.assert_allclose(stated, spread, rtol=0.15)
+    unknown = replace(fitted, solution=replace(fitted.solution, flexion_sigma_rad=None))
+    sigmas, independent = ({f.name: np.median(f.sigma_rad) for f in joint_flexions(m)} for m in (fitted, unknown))
+    np.testing.assert_allclose([*sigmas.values()], np.hypot(stated, MODEL_RAD), rtol=0.05)
+    assert independent["left_elbow"] < 0.9 * sigmas["left_elbow"]
+    assert independent["left_hock"] == pytest.approx(sigmas["left_hock"], rel=1e-3)
 
 
 @pytest.mark.parametrize("gait", [GALLOP, pytest.param(TROT, marks=pytest.mark.slow)])

@@ -87,11 +87,19 @@ def test_the_long_table_has_every_number_with_its_unit(whole: ClipAnalysis):
 
 
 def test_the_dictionary_states_units_of_every_kind(whole: ClipAnalysis):
-    listed = dictionary(analysis_tables(whole)).set_index(["table", "variable"])["unit"]
+    listed = dictionary(analysis_tables(whole), whole.motion.body).set_index(["table", "variable"])["unit"]
     assert listed["centre_of_mass", "angular_momentum_x_m2_s"] == "m²/s"
     assert listed["gait_quantities", "estimate"] == "unit of the quantity"
     assert listed["gait_quantities", "n"] == ""
     assert listed["closures", "closure_angle_percent"] == "%"
+
+
+def test_the_dictionary_states_the_markers_of_joint_angles(whole: ClipAnalysis):
+    tables = {"joint_flexion": pd.DataFrame(columns=["left_hip_deg", "right_hip_sigma_deg", "neck_deg"])}
+    hip, right_hip, neck = dictionary(tables, whole.motion.body)["meaning"]
+    assert "from spine over l_hip to l_back_knee" in hip
+    assert "from spine over r_hip to r_back_knee" in right_hip
+    assert "from spine over neck_base to nose" in neck
 
 
 def test_decimal_commas_are_read_again(whole: ClipAnalysis, tmp_path: Path):
