@@ -138,7 +138,7 @@ def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
     unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}
     unset |= {"rename", "camera_track", "offset_s", "camera_fps", "focal_sigma", "prior", "detector"}
-    unset |= {"up", "size", "size_sigma", "height_m", "keypoint_sigma_m", "belt_speed_m_s", "corrections"}
+    unset |= {"lens", "up", "size", "size_sigma", "height_m", "keypoint_sigma_m", "belt_speed_m_s", "corrections"}
     assert set(plain) == set(SETTINGS) - unset - set(of_method("frame"))
     assert plain["keypoints"] == "/data/clip.csv"
 
@@ -217,6 +217,11 @@ def test_field_of_view_has_an_uncertainty(given):
     refuses(ROUGH | {"hfov_deg": "264+-6"}, ("hfov_deg", "'264+-6'", "less than 180"))
 
 
+def test_uncertainty_of_the_field_of_view_of_a_fisheye_lens():
+    """The focal length of an equidistant lens is inversely proportional to its field of view."""
+    assert FitSettings(**ROUGH | {"hfov_deg": "118+-6", "lens": "fisheye"}).focal_sigma == pytest.approx(6 / 118)
+
+
 def test_uncertainty_of_the_focal_length_depends_on_the_camera(tmp_path):
     clip = {"keypoints": (Path("c.csv"),), "fps": 30.0}
     calibrated = FitSettings(**clip, camera=tmp_path / "camera.toml").trajectory_options()
@@ -247,6 +252,7 @@ def test_messages_do_not_repeat_pydantic():
         (ROUGH | {"image_size_px": None}, ("image_size_px", "nothing", ["--hfov-deg", "1920x1080"])),
         ({**GIVEN, "hfov_deg": 60.0}, ("hfov_deg", [60.0, "camera file"], "only one of the two")),
         (ROUGH | {"camera_name": "cam2"}, ("camera_name", ["'cam2'", "without"], "--camera")),
+        ({**GIVEN, "lens": "fisheye"}, ("lens", ["'fisheye'", "without"], "--hfov-deg")),
     ],
 )
 def test_settings_that_do_not_go_together(given, expected):
@@ -315,10 +321,10 @@ def test_another_camera_replaces_the_camera_of_the_config(tmp_path):
     other = read_settings(config, {"camera": Path("/other.json")})
     assert (other.camera, other.camera_name, other.image_size_px) == ((Path("/other.json"),), None, None)
     assert other.tilt_deg is None
-    rough = read_settings(config, {"hfov_deg": 60.0})
+    rough = read_settings(config, {"hfov_deg": 60.0, "lens": "fisheye"})
     assert (rough.camera, rough.camera_name, rough.image_size_px) == (None, None, (1920, 1080))
     again = read_settings(write_config(tmp_path, rough.to_toml()), {"camera": Path("/c.toml")})
-    assert (again.camera, again.hfov_deg, again.image_size_px) == ((Path("/c.toml"),), None, None)
+    assert (again.camera, again.hfov_deg, again.lens, again.image_size_px) == ((Path("/c.toml"),), None, None, None)
 
 
 def test_mistakes_in_a_config_name_the_file(tmp_path):

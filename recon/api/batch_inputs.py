@@ -615,6 +615,7 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
     options = {name: value for name, value in common.items() if value is not None and name not in row}
     if "camera" in row and options.pop("hfov_deg", None) is not None:
         options.pop("image_size_px", None)
+        options.pop("lens", None)
     if "hfov_deg" in row:
         options = {name: value for name, value in options.items() if name not in ("camera", "camera_name")}
     if "method" in row:  # the common options are meant for clips of the other method

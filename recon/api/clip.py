@@ -353,6 +353,9 @@ def _file_facts(
     named: list[str | None] = []
     possible: tuple[Camera, ...] = ()
     for source, path in zip(inputs.sources, settings.keypoints, strict=True):
+        if settings.hfov_deg is not None:  # the camera has no name that a file's name could contradict
+            named.append(None)
+            continue
         cameras = () if source.moves else other_cameras(source.camera, settings)
         names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
         named_camera = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)

@@ -105,7 +105,8 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cam
     if settings.camera is not None:
         return ((_cameras_in_file(settings, ())[0], track),)
     if settings.hfov_deg is not None and settings.image_size_px is not None:
-        return ((Camera.from_hfov(settings.hfov_deg, settings.image_size_px), track),)
+        model = settings.lens or "pinhole"
+        return ((Camera.from_hfov(settings.hfov_deg, settings.image_size_px, model=model), track),)
     actual = "nothing" if track is None else f"no lens, and {track.source.name} has none either"
     raise InputError(Problem("settings", "camera", actual, "a camera file, or hfov_deg with image_size_px"))
 

@@ -343,7 +343,7 @@ def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[s
 
 
 _REPLACED_BY = {
-    "camera": ("hfov_deg", "image_size_px", "camera_name", "camera_unit", "tilt_deg"),
+    "camera": ("hfov_deg", "lens", "image_size_px", "camera_name", "camera_unit", "tilt_deg"),
     "hfov_deg": ("camera", "camera_name", "camera_unit"),
     "camera_track": ("tilt_deg",),
 }

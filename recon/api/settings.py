@@ -100,8 +100,12 @@ class FitSettings(Settings):
     any)
     """
     hfov_deg: Annotated[Number, Field(gt=0, lt=180)] | None = None
-    """Horizontal field of view in degrees, if there is no calibration, such as 64, or 64+-6 with its uncertainty. The
-    lens is assumed not to distort the picture.
+    """Horizontal field of view in degrees, if there is no calibration, such as 64, or 64+-6 with its uncertainty. For
+    the wide modes of action cameras, give --set lens=fisheye as well.
+    """
+    lens: Annotated[Literal["pinhole", "fisheye"] | None, _RARE] = None
+    """Lens of a camera given by its field of view: fisheye for the wide modes of action cameras, pinhole for a picture
+    without distortion. (default: pinhole, with a warning if the field of view is wider than 90 degrees)
     """
     image_size_px: Annotated[
         Size | None, Option(expected="width x height in pixels, such as 1920x1080", name="--image-size")
@@ -217,8 +221,10 @@ class FitSettings(Settings):
         match = re.fullmatch(rf"\s*({NUMBER})\s*(?:±|\+/?-)\s*({NUMBER})\s*", str(values.get("hfov_deg")))
         if match:
             hfov_deg, sigma_deg = map(float, match.groups())
-            # The focal length is proportional to the cotangent of half the angle.
-            fraction = math.radians(sigma_deg) / math.sin(math.radians(hfov_deg)) if 0 < hfov_deg < 180 else None
+            # The focal length is proportional to the cotangent of half the angle; that of a fisheye lens, to 1 / angle.
+            angle = math.radians(hfov_deg)
+            per_rad = angle if values.get("lens") == "fisheye" else math.sin(angle)
+            fraction = math.radians(sigma_deg) / per_rad if 0 < hfov_deg < 180 else None
             values |= {"focal_sigma": values.get("focal_sigma", fraction), "hfov_deg": hfov_deg}
         return arguments
 
@@ -373,6 +379,9 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
         yield Problem("settings", "camera", "nothing", expected)
     if "camera" in values and "hfov_deg" in values:
         yield Problem("settings", "hfov_deg", f"{values['hfov_deg']} and a camera file", "only one of the two")
+    if "lens" in values and "hfov_deg" not in values:
+        expected = "--hfov-deg as well; a camera file states its own lens"
+        yield Problem("settings", "lens", f"{values['lens']!r} without a field of view", expected)
     if "camera_track" in values and "tilt_deg" in values:
         actual = f"{values['tilt_deg']} together with a camera track, which states which way is up"
         yield Problem("settings", "tilt_deg", actual, "only one of the two")

@@ -140,6 +140,7 @@ def sentence(item: Finding, named: bool = True) -> str:
     camera, frames_text = item.camera if named else "the camera", _where(item.frames)
     values["effect"] = effect_text(numbers, "Without this fault")
     values["focal_effect"] = effect_text(numbers, "With a focal length at the end of its 90 % interval")
+    values["lens_effect"] = effect_text(numbers, "With a fisheye lens")
     if "count" in numbers:
         values["count_of_frames"] = counted(numbers["count"], "frame")
     text = words.format(**values, **degrees, **lengths, camera=camera, where=frames_text, late=delay)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,9 @@ from recon.check.likelihood import Baseline, best_seen, effects_m
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
 from recon.fit.least_squares import Estimate
-from recon.fit.result import Finding
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
 SHORTER_LOG_FACTORS = (-0.4, -0.6)
@@ -58,6 +61,12 @@ INSIDE_90 = 0.5 * NORMAL_90**2
 """Increase of the cost from its minimum to the ends of the 90 % interval of the focal length."""
 _UNKNOWN_SIGMA = 0.3
 """Standard deviation of the estimate's logarithm if the parabola has no minimum."""
+WIDE_HFOV_DEG = 90.0
+"""Horizontal field of view, in degrees, above which a lens without distortion is not taken for granted.
+
+Lenses of cameras and phones that show straight edges straight are rarely wider. The wide modes of action cameras begin
+at about 94 degrees.
+"""
 _TOLERANCE, _ITERATIONS = 1e-3, 12
 
 
@@ -126,6 +135,43 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
     highest = min(refit.cost for refit in refits.values()) + INSIDE_90
     end = farther if farther in refits and refits[farther].cost < highest else nearer
     return replace(test, effects_m=effects_m(clip, refits[0.0].states, refits[end].states))
+
+
+def assumed_lens_finding(
+    clip: ClipProblem, solution: TrajectorySolution, settings: Mapping[str, Any]
+) -> Finding | None:
+    """Return a warning if a wide lens is assumed to be a pinhole without being stated, and None otherwise.
+
+    The second of the clip with the most detections is solved again with an equidistant fisheye lens of the same field
+    of view. The difference is the effect of the finding, which widens the intervals of the verdict. The effect is
+    unknown if this second has fewer than three frames or a frame without a pose.
+
+    Parameters
+    ----------
+    clip
+        The problem of the clip.
+    solution
+        The solution with a pinhole camera.
+    settings
+        Settings of the fit, of which `hfov_deg` and `lens` are read.
+    """
+    hfov_deg = settings.get("hfov_deg")
+    if hfov_deg is None or hfov_deg <= WIDE_HFOV_DEG or settings.get("lens") is not None:
+        return None
+    (view,) = clip.views
+    rows = best_seen(view, clip.fps)
+    effects: dict[str, Any] = {}
+    states = clip.part(rows).nominal(solution.states[rows], solution.size)
+    if len(states) >= 3 and np.isfinite(states).all():
+        lens = Camera.from_hfov(hfov_deg, view.camera.image_size_px, model="fisheye")
+        camera = replace(view.camera, matrix=lens.matrix, distortion=lens.distortion, model=lens.model)
+        part = replace(clip.part(rows), views=(replace(view.part(rows), camera=camera),))
+        distorted = solve_trajectory(
+            part.views, part.body, part.prior, part.fps, part.options, ground_near_zero=part.ground_near_zero
+        )
+        if distorted.posed.all():
+            effects = effects_m(part, states, part.nominal(distorted.states, distorted.size))
+    return finding("lens_assumed", hfov_deg=hfov_deg, **effects)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from recon.base.arrays import Array, Bools, running_median
 from recon.base.threads import one_thread
 from recon.check.clocks import drift_findings
 from recon.check.codes import FLAG_OF, SPEEDS, by_effect, finding
-from recon.check.focal import focal_finding
+from recon.check.focal import assumed_lens_finding, focal_finding
 from recon.check.halves import halves_finding, hind_offset
 from recon.check.likelihood import (
     EXAMINED_GAIN,
@@ -77,6 +77,7 @@ def input_findings(
 
     - copied detections
     - motions that no animal makes
+    - a wide lens that was not stated
     - for each camera, another picture
     - for each camera, left-right swaps
     - for a single camera, the animal's halves, the lens, the stretch and the focal length, then another camera of its
@@ -116,6 +117,7 @@ def input_findings(
     elsewhere: list[Finding] = []
     rates: Sequence[Finding] = ()
     with one_thread():
+        assumed = assumed_lens_finding(clip, solution, motion.settings)
         pictures = _other_pictures(motion, clip, named)
         if has_learned_prior and not is_explained:
             predictions: Iterable[tuple[Array, Array] | None] = repeat(None, len(motion.sources))
@@ -142,7 +144,8 @@ def input_findings(
     for item in pictures.values():
         if item not in of_pictures:  # a cause that all cameras have in common is stated once
             of_pictures.append(item)
-    return (*copied, *exchanged, *of_pictures, *elsewhere, *drifting, *rates, *moves)
+    of_lens = () if assumed is None else (by_effect(assumed, motion.trunk_m),)
+    return (*copied, *exchanged, *of_pictures, *elsewhere, *of_lens, *drifting, *rates, *moves)
 
 
 def _has_error(findings: Sequence[Finding]) -> bool:

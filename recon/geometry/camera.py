@@ -113,22 +113,39 @@ class Camera(Brief):
             yield "tilt_rad", repr(self.tilt_rad), TILT
 
     @classmethod
-    def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:
-        """Return a pinhole camera with a given horizontal field of view.
+    def from_hfov(
+        cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1", model: str = "pinhole"
+    ) -> Camera:
+        """Return a camera with a given horizontal field of view.
 
-        Pixels are square, and the principal point is in the middle of the picture.
+        Pixels are square, the principal point is in the middle of the picture, and all coefficients of the lens are 0.
+
+        Parameters
+        ----------
+        hfov_deg
+            Angle between the left and the right edge of the picture, in degrees.
+        image_size_px
+            Width and height of the picture, pixels.
+        name
+            Name of the camera.
+        model
+            Lens model, one of `LENS_MODELS`, such as "fisheye" for an equidistant lens.
 
         Raises
         ------
         ValueError
-            If the field of view is not between 0 and 180 degrees.
+            If the field of view is not between 0 and 180 degrees, or the lens model is not known.
         """
         if not 0 < hfov_deg < 180:
             raise ValueError(f"the horizontal field of view must lie between 0 and 180 degrees, got {hfov_deg}")
-        width, height = image_size_px
-        focal = 0.5 * width / math.tan(math.radians(hfov_deg) / 2)
+        if model not in LENS_MODELS:
+            raise ValueError(f"the lens model must be one of {', '.join(LENS_MODELS)}, got {model!r}")
+        lens, (width, height) = LENS_MODELS[model], image_size_px
+        coefficients, edge = np.zeros(lens.counts[0]), math.tan(math.radians(hfov_deg) / 2)
+        edge_d, *_ = lens(tuple(coefficients)).distort(np.array(edge), np.array(0.0), np.array(edge * edge))
+        focal = 0.5 * width / float(edge_d)
         matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-        return cls(name, matrix, np.zeros(0), "pinhole", (width, height))
+        return cls(name, matrix, coefficients, model, (width, height))
 
     # Projection
 

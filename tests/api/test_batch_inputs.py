@@ -232,6 +232,15 @@ def test_problems_with_several_inputs_are_reported_together(clips, tmp_path):
     )
 
 
+def test_a_camera_in_a_manifest_replaces_the_common_field_of_view(clips):
+    path = manifest(clips, "keypoints,camera\na.csv,\nb.csv,mine.toml\n")
+    shutil.copy(CAMERA, clips / "mine.toml")
+    wide = {"hfov_deg": 118.0, "lens": "fisheye", "image_size_px": (1920, 1080), "fps": 30}
+    first, second = (clip.settings for clip in find_clips([path], wide)[0])
+    assert (first.camera, first.lens) == (None, "fisheye")
+    assert (second.camera, second.lens) == ((clips / "mine.toml",), None)
+
+
 def test_a_setting_that_every_clip_lacks_is_reported_once(clips):
     refuses([clips], ("--camera", "camera", "nothing", ["--hfov-deg", "columns keypoints, camera and fps"]), common={})
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import compare, refusal, says
 
-from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
+from recon import FitSettings, InputError, fit_clip, read_pose3d, samples_folder, write_clip
 from recon.api.clip_inputs import prepare
 from recon.api.clip_results import OUTPUT_FILES, run_clip
 from recon.base.files import read_manifest
@@ -181,6 +181,38 @@ def test_tilt_of_a_camera_without_a_pose():
     np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
     with refusal(("--tilt-deg", "tilt_deg", [4, "camera.toml"], "only one of the two")):
         fit_clip(sample(tilt_deg=4.0))
+
+
+def test_a_wide_lens_that_is_not_stated_is_reported():
+    """A pinhole camera and the fisheye lens of the sample differ by metres, and the verdict states this effect."""
+    clip = {"keypoints": samples_folder() / "whole_cam2.csv", "fps": 60, "frames": "0:12", "fast": True}
+    camera = {"hfov_deg": 100.0, "image_size_px": (1920, 1080), "tilt_deg": 4.5}
+    not_stated, pinhole, fisheye = (
+        fit_clip(FitSettings(**clip, **camera, lens=x)) for x in (None, "pinhole", "fisheye")
+    )
+    narrow = fit_clip(FitSettings(**clip, **camera | {"hfov_deg": 90.0}))
+    assert [("lens_assumed" in {item.code for item in m.findings}) for m in (not_stated, pinhole, fisheye, narrow)] == [
+        *(True, False, False, False)
+    ]
+    item = next(item for item in not_stated.findings if item.code == "lens_assumed")
+    centres_m = [m.joints_m.mean(axis=1) for m in (pinhole, fisheye)]
+    apart_m = np.linalg.norm(centres_m[0] - centres_m[1], axis=1).mean()
+    assert item.severity == "warning"
+    assert item.numbers["position_effect_m"] == pytest.approx(apart_m, rel=0.2)
+    assert not_stated.verdict.level == "check"
+    assert not_stated.verdict.reason_code == "lens_assumed"
+    assert not_stated.verdict.position_m.high > apart_m
+    np.testing.assert_array_equal(not_stated.joints_m, pinhole.joints_m)
+    # The keypoint file is of cam2, but a camera without a file has no name that could contradict this.
+    assert "other_camera_named" not in {item.code for item in not_stated.findings}
+    truth = read_pose3d(samples_folder() / "whole_truth.csv").xyz_m[:12]
+    camera = read_camera(samples_folder() / "whole_scene.json", "cam2")
+    true_m = np.linalg.norm(camera.world_to_camera(truth).mean(axis=1), axis=1).mean()
+    far = [
+        np.linalg.norm(m.joints_m.mean(axis=1) - m.solution.views[0].centre_m, axis=1).mean()
+        for m in (pinhole, fisheye)
+    ]
+    assert abs(far[1] - true_m) < abs(far[0] - true_m)
 
 
 def test_progress_grows_from_0_to_1():

@@ -108,6 +108,11 @@ SENTENCES = {
         "fits cam2, cam5 of the camera file better than cam1: if",
         {"given": "cam1", "others": ("cam2", "cam5")},
     ),
+    "lens_assumed": (
+        "most lenses that show 118 degrees, such as those of action cameras, are fisheye lenses. With a fisheye lens, "
+        "poses would change by 57 mm and positions by 2.2 m. State the lens with --set lens=fisheye",
+        {"hfov_deg": 118.2, "pose_effect_m": 0.057, "position_effect_m": 2.2},
+    ),
     "left_right_swap": (
         "look swapped in frame 10, in the fore legs, and they are swapped in the pose too. Look",
         {"part": "the fore legs"},

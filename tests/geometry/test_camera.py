@@ -221,6 +221,15 @@ def test_from_hfov():
     assert np.degrees(np.arccos(left @ right)) == pytest.approx(90)
 
 
+def test_from_hfov_of_a_fisheye_lens():
+    """The edges of the picture are half the field of view from the axis, and pixels are proportional to the angle."""
+    camera = Camera.from_hfov(118, (1920, 1080), model="fisheye")
+    axis, left, half = (camera.rays((x, 539.5))[0] for x in (959.5, -0.5, 479.5))
+    assert np.degrees(np.arccos([axis @ left, axis @ half])) == pytest.approx([59, 29.5])
+    with pytest.raises(ValueError, match="lens model"):
+        Camera.from_hfov(118, (1920, 1080), model="wide")
+
+
 @pytest.mark.parametrize("hfov", [0, -10, 180, 400, np.nan])
 def test_from_hfov_refuses_impossible_angles(hfov):
     with pytest.raises(ValueError, match="field of view"):

@@ -165,9 +165,10 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
         degrees = math.degrees(camera.tilt_rad)
         yield f"The camera is assumed to look down by {degrees:.3g} degrees, as given, without roll."
     if hfov_deg is not None:
+        lens = "be an equidistant fisheye" if camera.model == "fisheye" else "have no distortion"
         yield (
             f"The camera has no calibration: its focal length follows from a horizontal field of view of "
-            f"{hfov_deg:g} degrees, and its lens is assumed to have no distortion."
+            f"{hfov_deg:g} degrees, and its lens is assumed to {lens}."
         )
 
 
