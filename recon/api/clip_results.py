@@ -25,7 +25,7 @@ from recon.api.settings import SETTINGS, FitSettings, with_paths
 from recon.base.documents import parse_json, read_toml, validated
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.file_names import existing_path
-from recon.base.files import MANIFEST, read_manifest, sha256_of, write_text
+from recon.base.files import MANIFEST, digest, read_manifest, sha256_of, write_text
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output
 from recon.base.package import version
@@ -211,14 +211,6 @@ def file_sha256(path: Path) -> str | None:
 @cache
 def _sha256_of(path: Path, state: tuple[int, ...]) -> str:
     return sha256_of(path)
-
-
-def digest(path: Path) -> str | None:
-    """Return the digest of a file's present content, or None if it cannot be read."""
-    try:
-        return sha256_of(path)
-    except OSError:
-        return None
 
 
 def identity(settings: FitSettings) -> dict[str, Any]:

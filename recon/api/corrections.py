@@ -14,13 +14,13 @@ import numpy as np
 
 from recon.animal.body import opposites
 from recon.api.clip import fit_clip, refit_clip
-from recon.api.clip_results import digest, read_config
+from recon.api.clip_results import read_config
 from recon.api.epipolar import epipolar_lines_px
 from recon.api.settings import FitSettings
 from recon.base.arrays import to_plain
 from recon.base.errors import InputError, Problem
 from recon.base.file_names import encodable
-from recon.base.files import staged_file
+from recon.base.files import digest, staged_file
 from recon.check.to_correct import to_correct
 from recon.check.verdict import verdict_lines
 from recon.fit.motion import Motion

@@ -19,11 +19,12 @@ from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.outputs import Output
 from recon.clip import Keypoints, Source, align_cameras, clean, views_of
 from recon.fit.triangulation import Triangulation, smoothed, triangulate_views
+from recon.gait.evaluation import POSE3D, TRIANGULATED
 from recon.geometry.camera import Camera
 from recon.io.common import Pose3D
 
-POINTS, COVARIANCES, SUMMARY = "pose3d.csv", "pose3d_covariance.csv", "triangulation.json"
-"""Files that `recon triangulate` writes."""
+COVARIANCES = "pose3d_covariance.csv"
+"""File of covariances that `recon triangulate` writes, in addition to `POSE3D` and `TRIANGULATED`."""
 _COVARIANCE_COLUMNS = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
 
 
@@ -59,7 +60,7 @@ class TriangulatedClip(Brief):
         return Pose3D(self.names, self.points_m, self.frames, fps=self.fps, sigma_m=self.result.sigma_m)
 
     def summary(self) -> dict[str, Any]:
-        """Return the content of `SUMMARY` in plain types, which states how well points and detections agree."""
+        """Return the content of `TRIANGULATED` in plain types, which states how well points and detections agree."""
         result = self.result
         is_known = np.isfinite(result.points_m[..., 0])
         is_compared = np.isfinite(result.error_px)
@@ -193,7 +194,7 @@ def _triangulated(
 def run_triangulation(
     settings: FitSettings, out: str | Path, smooth: bool = False, overwrite: bool = False
 ) -> TriangulatedClip:
-    """Triangulate the keypoint files of a clip, and write `POINTS`, `COVARIANCES` and `SUMMARY` into a folder.
+    """Triangulate the keypoint files of a clip, and write `POSE3D`, `COVARIANCES` and `TRIANGULATED` into a folder.
 
     Raises
     ------
@@ -207,7 +208,7 @@ def run_triangulation(
 
     inputs = [*input_files(settings).values()]
     output = Output(Path(out), "triangulate", overwrite, inputs, content="triangulated points")
-    output.require((POINTS, COVARIANCES, SUMMARY))
+    output.require((POSE3D, COVARIANCES, TRIANGULATED))
     clip = triangulate_files(settings, smooth)
     if not np.isfinite(clip.points_m[..., 0]).any():
         actual = "no keypoint that two cameras saw in the same frame and at the same position"
@@ -220,7 +221,7 @@ def run_triangulation(
     rows, columns = np.array([*_COVARIANCE_COLUMNS.values()]).T
     covariances = clip.covariance_m2[:, :, rows, columns].reshape(len(clip.frames), -1)
     with output.staged() as folder:
-        write_csv(clip.pose3d, folder / POINTS)
+        write_csv(clip.pose3d, folder / POSE3D)
         write_table(folder / COVARIANCES, header, clip.frames, covariances, guard=False)
-        (folder / SUMMARY).write_text(to_json(clip.summary()), encoding="utf-8")
+        (folder / TRIANGULATED).write_text(to_json(clip.summary()), encoding="utf-8")
     return clip

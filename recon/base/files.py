@@ -360,3 +360,11 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", os.fspath(path))
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def digest(path: Path) -> str | None:
+    """Return the digest of a file's present content, or None if it cannot be read."""
+    try:
+        return sha256_of(path)
+    except OSError:
+        return None

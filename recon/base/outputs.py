@@ -26,6 +26,7 @@ from recon.base.files import (
     MANIFEST,
     NEW,
     FileState,
+    digest,
     exchange,
     is_plain_name,
     names_in,
@@ -136,7 +137,7 @@ class ReadResults:
     @classmethod
     def read(cls, folder: Path) -> ReadResults:
         """Return the present version of the results in a folder."""
-        return cls(folder, _manifest_sha256(folder))
+        return cls(folder, digest(folder / MANIFEST))
 
     @contextmanager
     def unchanged(self) -> Iterator[None]:
@@ -155,7 +156,7 @@ class ReadResults:
 
     def require_unchanged(self) -> None:
         """Raise InputError if the folder no longer has the results that were read."""
-        if _manifest_sha256(self.folder) != self.manifest:
+        if digest(self.folder / MANIFEST) != self.manifest:
             change = "results that another run has replaced since they were read"
             raise InputError(
                 Problem(
@@ -164,20 +165,13 @@ class ReadResults:
             )
 
 
-def _manifest_sha256(folder: Path) -> str | None:
-    try:
-        return sha256_of(folder / MANIFEST)
-    except OSError:
-        return None
-
-
 def is_current(path: Path, results: Path) -> bool:
     """Return whether a file, such as an analysis, was made from the present results of a folder."""
     try:
         entries = read_record(path.parent).get(path.name, ())
     except InputError:
         return False
-    current_sha256 = _manifest_sha256(results)
+    current_sha256 = digest(results / MANIFEST)
     return any(_is_made_from(entry, path.parent, results) and entry.manifest == current_sha256 for entry in entries)
 
 

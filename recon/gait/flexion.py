@@ -73,11 +73,6 @@ class StrideCurve(Brief):
     duty_factor: float
     """Fraction of the stride, from 0 %, for which the foot is in stance."""
 
-    @property
-    def name(self) -> str:
-        """Return the joint with its side, such as left_elbow."""
-        return self.joint if self.side is None else f"{self.side}_{self.joint}"
-
 
 @dataclass(frozen=True)
 class Extreme:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from recon import InputError, read_pose3d, triangulate
-from recon.api.triangulation import COVARIANCES, POINTS, SUMMARY
+from recon.api.triangulation import COVARIANCES
+from recon.gait.evaluation import POSE3D, TRIANGULATED
 from recon.io.calibration import read_cameras
 from recon.io.camera_files import write_cameras
 from recon.io.deeplabcut import write_csv
@@ -41,7 +42,7 @@ def command(clip, out, *more):
 def test_triangulated_points_are_near_the_true_markers(clip, tmp_path):
     ended = command(clip, tmp_path / "points")
     assert ended.code == 0, ended.err
-    pose = read_pose3d(tmp_path / "points" / POINTS)
+    pose = read_pose3d(tmp_path / "points" / POSE3D)
     _, _, truth = clip
     error_m = np.linalg.norm(pose.xyz_m - truth.xyz_m, axis=-1)
     # Keypoints lie off the markers by half of 30 mm along each axis; the noise is about 5 mm.
@@ -54,7 +55,7 @@ def test_triangulated_points_are_near_the_true_markers(clip, tmp_path):
 def test_covariances_and_summary_are_written(clip, tmp_path):
     out = tmp_path / "points"
     assert command(clip, out, "--json").code == 0
-    summary = json.loads((out / SUMMARY).read_text())
+    summary = json.loads((out / TRIANGULATED).read_text())
     assert summary["frames"] == FRAMES
     assert summary["share_known"] > 0.95
     assert list(summary["cameras"]) == ["cam1", "cam2", "cam3", "cam4"]
@@ -70,20 +71,20 @@ def test_other_commands_read_the_points(clip, tmp_path):
     out = tmp_path / "points"
     assert command(clip, out, "--smooth").code == 0
     folder, _, _ = clip
-    for scored in (out / POINTS, out):
+    for scored in (out / POSE3D, out):
         ended = run("evaluate", scored, folder / "truth.csv", "--json")
         assert ended.code == 0, ended.err
         assert 10 < json.loads(ended.out)["mpjpe_mm"] < 40
-    assert run("convert", out / POINTS, tmp_path / "points.trc", "--fps", 50).code == 0
+    assert run("convert", out / POSE3D, tmp_path / "points.trc", "--fps", 50).code == 0
 
 
 def test_files_of_a_user_are_not_replaced(clip, tmp_path):
     out = tmp_path / "points"
     out.mkdir()
-    (out / POINTS).write_text("mine")
+    (out / POSE3D).write_text("mine")
     ended = command(clip, out, "--overwrite")
     assert ended.code == 2
-    assert (out / POINTS).read_text() == "mine"
+    assert (out / POSE3D).read_text() == "mine"
     assert command(clip, tmp_path / "other").code == 0
     assert command(clip, tmp_path / "other").code == 2
     assert command(clip, tmp_path / "other", "--overwrite").code == 0

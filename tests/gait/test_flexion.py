@@ -113,7 +113,7 @@ def test_curves_over_the_stride_agree_with_the_gait(fitted, gait):
     fps = len(fitted.frames) / (3.5 * gait.stride_s)
     motion = with_exact_states(fitted, gait.states(BODY, fitted.frames / fps), fps)
     analysis = ClipAnalysis(motion)
-    curves = {curve.name: curve for curve in analysis.flexion_curves}
+    curves = {f"{curve.side}_{curve.joint}" if curve.side else curve.joint: curve for curve in analysis.flexion_curves}
     assert set(curves) == set(BODY.anatomy)
     for name, curve in curves.items():
         begin_s = gait.landings[curve.foot] * gait.stride_s
