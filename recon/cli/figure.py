@@ -53,13 +53,16 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
     out = settings.out
     if out is not None:
         require_suffix(out, KINDS)
+        if not settings.names:
+            expected = f"a figure, such as {DEFAULT_FIGURES[1]}; recon figure without --out lists them"
+            raise InputError(Problem("FIGURE", "name", "nothing", expected))
     elif settings.names:
         raise InputError(Problem("--out", "file", "nothing", "a file for the figures, such as fig1.pdf"))
     made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     progress("analysis", 0.1)
     analysis = analyse(motion, settings.stride)
-    if out is None or not settings.names:
+    if out is None:
         drawn = figures_of(analysis)
         rows = [(name, caption_of(analysis, (name,)).partition("\n")[0]) for name in drawn]
         example = next(name for name in (DEFAULT_FIGURES[1], *DEFAULT_FIGURES) if name in drawn)

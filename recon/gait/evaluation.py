@@ -49,6 +49,10 @@ WHOLE_FRAME = 1e-4
 """Maximum difference, in frames, between a time and a frame's time that count as equal."""
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
 """Names of the files with positions and with a summary that `recon triangulate` writes."""
+_TURNED = (
+    "The result's world was turned until the ground is level, as the feet show it. In a reference with the axes of the "
+    "camera file, all positions differ by this turn: compare PA, or fit again with --set up."
+)
 LEVELS = (0.5, 0.9)
 """Probabilities of the stated intervals whose coverage is evaluated."""
 
@@ -279,7 +283,8 @@ def _positions(
     if (path / TRIANGULATED).is_file() and not (path / MOTION).exists():
         return read_pose3d(path / POSE3D), None, None
     motion = usable(Motion.load(path), path, anyway)
-    pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps)
+    notes = (_TURNED,) if "up_from_feet" in {entry.code for entry in motion.findings} else ()
+    pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps, notes=notes)
     return pose, (motion.joint_sigma_m, motion.relative_sigma_m), motion.verdict
 
 

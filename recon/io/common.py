@@ -289,7 +289,7 @@ def without_lost_markers(stored: StoredPoints) -> StoredPoints:
     counts_lost = zip(stored.names, lost.sum(axis=0).tolist(), strict=True)
     named = [f"{name} in {counted(count, 'frame')}" for name, count in counts_lost if count]
     shown = ", ".join(named[:3]) + (f" and {len(named) - 3} more" if len(named) > 3 else "")
-    shown_constants = " and ".join(f"({x:g}, {x:g}, {x:g})" for x in np.unique(first[lost])[:3])
+    shown_constants = " and ".join("({0:.10g}, {0:.10g}, {0:.10g})".format(x + 0.0) for x in np.unique(first[lost])[:3])
     note = f"Points at exactly {shown_constants} are taken as missing: {shown}."
     values = np.where(lost[..., None], np.nan, stored.values)
     return replace(stored, values=values, notes=(*stored.notes, note))

@@ -288,7 +288,7 @@ def _without_extra(columns: Sequence[Column]) -> tuple[list[int], tuple[str, ...
     coords: dict[tuple[str, str], set[str]] = {}
     for animal, bodypart, coord in columns:
         coords.setdefault((animal, bodypart), set()).add(coord)
-    kept = [j for j, (*point, c) in enumerate(columns) if c in COORDS or not coords[tuple(point)] >= {*COORDS_2D}]
+    kept = [j for j, (a, b, c) in enumerate(columns) if c in COORDS or not coords[a, b] >= {*COORDS_2D}]
     extra = dict.fromkeys(columns[j][2] for j in range(len(columns)) if j not in {*kept})
     return kept, (f"Columns left out: {', '.join(extra)}.",) if extra else ()
 

@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from recon import evaluate, evaluate_files
-from recon.check.codes import sentence
+from recon.check.codes import finding, sentence
+from recon.fit.motion import Motion
 from recon.gait.evaluation import aligned, at_frames_of, joint_errors, mismatches
 from recon.io.common import Pose3D
 from recon.io.deeplabcut import write_csv
@@ -293,6 +294,15 @@ def test_a_result_folder_is_compared_in_the_reference_frame(whole_results, level
     assert says(note, "frames of reference")
     with refusal((tmp_path, "folder", "no motion.npz", "recon fit")):
         evaluate_files(tmp_path, truth)
+
+
+def test_a_world_that_was_turned_by_the_feet_is_named(whole_results, tmp_path):
+    """If the axes of the camera file were replaced, positions in a reference with these axes differ throughout."""
+    motion = Motion.load(whole_results)
+    turned = finding("up_from_feet", up="-0.03,-0.07,0.997", height_m=2.4, sigma_rad=0.14)
+    replace(motion, findings=(*motion.findings, turned)).save(tmp_path)
+    (note,) = evaluate_files(tmp_path, SAMPLES / "whole_truth.csv").notes
+    assert says(note, "--set up")
 
 
 def test_a_reference_that_counts_from_1_without_unit_and_axis_is_read(tmp_path):

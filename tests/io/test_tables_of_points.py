@@ -453,6 +453,10 @@ def test_another_number_for_lost_markers(tmp_path):
     np.testing.assert_array_equal(found.xyz_m[:, 0], [[np.nan] * 3, [1, 2, 4], [5, 5, 5]])
     np.testing.assert_array_equal(found.xyz_m[:, 1], [[1, 2, 3], [np.nan] * 3, [np.nan] * 3])
     assert "exactly (-9999, -9999, -9999) and (0, 0, 0) are taken as missing" in " ".join(found.notes)
+    rows = ["0,-0,0,-0.0,1,2,3", "1,1,2,4,9999999,9999999,9999999", "2,5,5,5,9999999,9999999,9999999"]
+    (tmp_path / "b.csv").write_text("\n".join(["frame,paw_x,paw_y,paw_z,nose_x,nose_y,nose_z", *rows]))
+    (note,) = read_pose3d(tmp_path / "b.csv", unit="m", up="z").notes
+    assert "exactly (0, 0, 0) and (9999999, 9999999, 9999999)" in note
 
 
 @pytest.mark.parametrize(

@@ -119,3 +119,4 @@ def test_the_command_writes_figure_and_caption(whole_results: Path, tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir() if path.suffix != ".json") == ["fig1.svg", "fig1.txt"]
     refused(["figure", whole_results, "speeed", "--out", tmp_path / "b.svg"], (whole_results, "figure", "speeed"))
     refused(["figure", whole_results, "speed", "--out", tmp_path / "b.jpg"], ("--out", "file"))
+    refused(["figure", whole_results, "--out", tmp_path / "b.svg"], ("FIGURE", "name", "nothing"))
