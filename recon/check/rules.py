@@ -21,7 +21,7 @@ from recon.base.errors import InputError
 from recon.check.codes import FLAGS, SWAPPED, finding, sort_findings
 from recon.check.constants import MANY_FRAMES
 from recon.check.inputs import FASTEST_M_S, GROSS_REASON, MOTION_CODES
-from recon.clip import UNLIKELY, Source
+from recon.clip import UNLIKELY, Source, longest_run
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion, trajectory_solution
@@ -345,11 +345,23 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if the fit did not converge, and a finding if the animal has an unexpected size."""
     solution = trajectory_solution(motion)
     if solution.status != "converged":
-        yield finding("not_converged")
+        yield finding("not_converged", part=_well_detected(motion))
     if abs(solution.size - 1) > SIZE_SIGMAS * solution.size_prior_sigma:
         limit = min(SIZE_SIGMAS_MOST * solution.size_prior_sigma, LOG_SIZE_MOST)
         code = "size_impossible" if abs(math.log(solution.size)) > limit else "size_unexpected"
         yield finding(code, size=solution.size, expected_sigma=solution.size_prior_sigma)
+
+
+def _well_detected(motion: Motion) -> str:
+    """Return the option for the longest part of a clip without the flags "no data" and "data poor".
+
+    Return the option's name only if the part has less than half of the frames, or all frames.
+    """
+    is_good = np.array([not {*flags} & {"no data", "data poor"} for flags in motion.flags])
+    first, stop = longest_run(is_good) if is_good.any() else (0, 0)
+    if not len(is_good) / 2 <= stop - first < len(is_good):
+        return "--frames"
+    return f"--frames {motion.frames[first]}:{motion.frames[stop - 1] + 1}, the longest part with enough detections"
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:

@@ -417,8 +417,17 @@ def test_the_upward_direction_is_an_assumption_unless_known(trajectory, small_tr
 
 def test_a_trajectory_that_did_not_converge_has_warnings(small_trajectory):
     report = build_report(with_solution(small_trajectory, status="not_converged"), {})
-    assert numbers(report, "not_converged") == {}
+    assert numbers(report, "not_converged") == {"part": "--frames"}
     assert numbers(report, "few_frames") == {"count": 8}
+
+
+@pytest.mark.parametrize(("poor", "part"), [(3, "--frames {}:{}, the longest part"), (5, "--frames")])
+def test_a_fit_that_did_not_converge_names_the_part_with_enough_detections(small_trajectory, poor, part):
+    flags = (("no data", "data poor"),) * poor + (("ambiguous depth",),) * (8 - poor)
+    report = build_report(with_solution(small_trajectory, status="not_converged", flags=flags), {})
+    frames = small_trajectory.frames
+    assert numbers(report, "not_converged")["part"].startswith(part.format(frames[poor], frames[-1] + 1))
+    assert ("longest" in numbers(report, "not_converged")["part"]) == (poor == 3)
 
 
 def test_the_summary_states_a_distance_that_is_hardly_known(small_trajectory):
