@@ -155,7 +155,11 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         yield f"Not counted for similar reasons: {counted(count_more, 'more stride')}."
     if analysis.dynamics is not None:
         yield f"Source of the masses in forces and energies: {motion.body.mass_source}."
-        yield validity_text("unknown" if gait is None else gait.name.name)
+        if analysis.dynamics.stance_forces:
+            yield validity_text("unknown" if gait is None else gait.name.name)
+        elif gait is not None:
+            lacks = "no stance is complete" if gait.stride_s > 0 else "the duration of a stride is not known"
+            yield f"Forces of the feet are not computed, because {lacks}."
         yield from (sentence(finding, named=False) for finding in findings_of_dynamics(motion, analysis.dynamics))
     elif motion.side is None and gait is not None:
         yield "The skeleton has no masses ([mass]), so centre of mass, energies and forces are not computed."

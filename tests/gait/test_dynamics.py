@@ -254,6 +254,18 @@ def test_without_masses_there_are_no_dynamics(motion: Motion):
     assert any("has no masses ([mass])" in note for note in notes(found))
 
 
+def test_without_forces_the_notes_say_why(motion: Motion, found: ClipAnalysis):
+    from recon.api.analyse import notes
+
+    fps = len(motion.frames) / (0.4 * GALLOP.stride_s)
+    short = analyse(with_exact_states(motion, GALLOP.states(motion.body, motion.frames / fps), fps))
+    assert short.dynamics is not None
+    assert not short.dynamics.stance_forces
+    assert any(note.startswith("Forces of the feet are not computed") for note in notes(short))
+    assert not any("validated" in note for note in notes(short))
+    assert any("validated" in note for note in notes(found))
+
+
 def test_a_body_in_flight_falls_freely(motion: Motion, found: ClipAnalysis):
     d = found.dynamics
     assert d is not None
