@@ -141,6 +141,7 @@ def sentence(item: Finding, named: bool = True) -> str:
     values["effect"] = effect_text(numbers, "Without this fault")
     values["focal_effect"] = effect_text(numbers, "With a focal length at the end of its 90 % interval")
     values["lens_effect"] = effect_text(numbers, "With a fisheye lens")
+    values.setdefault("part", "--frames")  # in motions of earlier versions the finding has no part
     if "count" in numbers:
         values["count_of_frames"] = counted(numbers["count"], "frame")
     text = words.format(**values, **degrees, **lengths, camera=camera, where=frames_text, late=delay)

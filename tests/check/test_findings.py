@@ -164,7 +164,7 @@ SENTENCES = {
     ),
     "ground_above_camera": ("0.52 ± 0.03 m above cam1", {"height_m": 0.52, "sigma_m": 0.03}),
     "frames_not_converged": ("2 of 9 frames did not converge", {"count": 2, "frames_total": 9}),
-    "not_converged": ("ended before it had converged", {}),
+    "not_converged": ("the worst part of the clip (--frames 3:9).", {"part": "--frames 3:9"}),
     "size_impossible": (
         "comes out 0.42 times as large as expected, which is impossible",
         {"size": 0.42, "expected_sigma": 0.1},
@@ -247,6 +247,10 @@ def test_every_code_has_its_sentence(code):
     assert one.severity == CODES[code][0]
     assert words in sentence(one)
     assert sentence(one).endswith((".", "?"))
+
+
+def test_a_finding_of_an_earlier_version_has_a_sentence():
+    assert sentence(finding("not_converged")).endswith("(--frames).")
 
 
 def test_each_code_in_the_source_has_an_entry_and_each_entry_is_used():
