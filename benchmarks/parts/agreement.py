@@ -37,6 +37,8 @@ from recon.geometry.frames import euler_rotation, rigid
 
 SKELETON = "cheetah-24"
 TURN_DEG, LAG = 5.0, 10
+TRUNK_M = 0.7
+"""Length of the trunk of a cheetah, m."""
 Case = tuple[str, list[View], str, tuple[int, ...]]
 """Name of the change, the changed views, the expected finding and the cameras that it should name."""
 
@@ -51,7 +53,7 @@ def check_agreement(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
     """Run the check of agreement on a stand-in for a fit, which has only the fields that the check reads."""
     sources = [SimpleNamespace(offset_frames=view.offset_frames, offset_s=0.0) for view in views]
     frames, solution = np.arange(len(views[0].xy_px)), SimpleNamespace(views=views)
-    motion = SimpleNamespace(solution=solution, sources=sources, fps=fps, frames=frames)
+    motion = SimpleNamespace(solution=solution, sources=sources, fps=fps, frames=frames, trunk_m=TRUNK_M)
     noise_m = load_skeleton(SKELETON).keypoint_sigma_m
     return agreement_findings(motion, TrajectoryOptions().sigma_px, noise_m)  # type: ignore[arg-type]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from recon.check.codes import sentences
 from recon.check.inputs import input_findings, with_flags, without_gross_outliers
 from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
 from recon.check.verdict import add_verdict, verdict_lines
-from recon.clip import Source, views_of
+from recon.clip import Source, View, views_of
 from recon.fit import constants
 from recon.fit.belt import belt_path_m, relative_to_belt, views_from_belt
 from recon.fit.clip_problem import TrajectoryOptions
@@ -285,7 +285,12 @@ def _check_agreement(fit: _Fit, motion: Motion, inputs: ClipInputs) -> _Fit:
     from recon.check.agreement import agreement_findings, swaps_by_effect
 
     noise = (fit.options.sigma_px, fit.options.keypoint_noise_m(inputs.body))
-    agreement = agreement_findings(motion, *noise)
+    options = replace(fit.options, refine_cameras=False, focal_sigma=None)  # the views have the refined cameras
+
+    def fitted(views: Sequence[View]) -> TrajectorySolution:
+        return solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options)
+
+    agreement = agreement_findings(motion, *noise, fitted)
     return replace(fit, findings=(*swaps_by_effect(fit.findings, motion, *noise), *agreement))
 
 

@@ -14,7 +14,7 @@ so two cameras that disagree are always reported together.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
@@ -40,7 +40,7 @@ from recon.check.sights import (
 )
 from recon.clip import View, densest_window
 from recon.fit.motion import Motion
-from recon.fit.result import Finding
+from recon.fit.result import Finding, TrajectorySolution
 
 MAX_ERROR_RATIO = 1.6
 """Largest error ratio at which a camera counts as agreeing with the others.
@@ -83,7 +83,13 @@ Comparison = dict[str, float]
 """
 
 
-def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
+Fitted = Callable[[Sequence[View]], TrajectorySolution]
+"""Function that fits the motion to some of the clip's views, as the clip was fitted."""
+
+
+def agreement_findings(
+    motion: Motion, sigma_px: float, keypoint_sigma_m: float, fitted: Fitted | None = None
+) -> tuple[Finding, ...]:
     """Return the findings from a comparison of a motion's cameras with each other.
 
     There is a note on each camera, and an error for each camera that is exchanged, turned, late, or off for an unknown
@@ -98,6 +104,9 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
         Standard deviation of the detector's noise, pixels.
     keypoint_sigma_m
         Standard deviation of a keypoint's position on the body, m.
+    fitted
+        Function that fits the cameras that agree, to determine the effect of the others on the result. If it is None,
+        this effect is unknown.
     """
     views_and_sources = zip(motion.solution.views, motion.sources, strict=True)
     views = [replace(view, offset_frames=source.offset_frames) for view, source in views_and_sources]
@@ -114,11 +123,14 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     agreeing, comparisons = _compare_with_agreeing(sights, fps, limit, points_of)
 
     findings = []
-    for v in (v for v in range(len(views)) if agreeing and v not in agreeing):
-        comparison = comparisons[v]
-        if comparison["level"] > limit or _gain(comparison) >= CLEAR_GAIN:
+    left_out = [v for v in range(len(views)) if agreeing and v not in agreeing]
+    wrong = [v for v in left_out if comparisons[v]["level"] > limit or _gain(comparisons[v]) >= CLEAR_GAIN]
+    if wrong:
+        kept = [view for v, view in enumerate(views) if v not in wrong]
+        effect = {} if fitted is None else _effect_on_fit(motion.solution.joints_m[rows], fitted(kept).joints_m)
+        for v in wrong:
+            comparison = comparisons[v]
             offset_s = motion.sources[v].offset_s + comparison["late_frames"] / fps
-            effect = _effect_m(given_sights, v, [o for o in agreeing if o != v])
             numbers = comparison | effect | {"offset_s": offset_s}
             item = finding(_code(comparison, limit), frames, names[v], **numbers)
             findings.append(
@@ -185,6 +197,21 @@ def swaps_by_effect(
             item = by_effect(replace(item, numbers=item.numbers | effect), motion.trunk_m)
         weighed.append(item)
     return tuple(weighed)
+
+
+def _effect_on_fit(joints_m: Array, others_m: Array) -> dict[str, float]:
+    """Return the mean differences (`EFFECTS`), m, between the joints (T, J, 3) of two fits; NaN without common frames.
+
+    The effect of a camera is measured on the fit, not on triangulated points. The fit also knows the body and estimates
+    small time offsets, and two cameras that remain may stand so that their rays hardly determine a point.
+    """
+    apart_m = joints_m - others_m
+    apart_m = apart_m[np.isfinite(apart_m).all(axis=(1, 2))]
+    if not len(apart_m):
+        return dict.fromkeys(EFFECTS, np.nan)
+    middle_m = apart_m.mean(axis=1, keepdims=True)
+    lengths_m = (float(np.linalg.norm(vectors_m, axis=-1).mean()) for vectors_m in (apart_m - middle_m, middle_m))
+    return dict(zip(EFFECTS, lengths_m, strict=True))
 
 
 def _effect_m(sights: Sequence[Sight], v: int, partners: Sequence[int]) -> dict[str, float]:

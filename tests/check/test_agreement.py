@@ -10,23 +10,26 @@ import numpy as np
 import pytest
 from example_run import ASIDE, FPS, KEYPOINT_M, POSES, late, run_views, truth_m, view_of
 
+from recon import FitSettings, fit_clip, load_skeleton, read_cameras, write_cameras
 from recon.check.agreement import MAX_FRAMES, agreement_findings
 from recon.check.refined_poses import why_not_refined
 from recon.clip import View
 from recon.fit.result import Finding, TrajectorySolution
 from recon.geometry.frames import euler_rotation, rigid
 from recon.testing.cameras import level_pose
+from recon.testing.rigs import random_motion, write_rig_clip
 
 
-def agreement_of(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
+def agreement_of(views: list[View], offset_s: Sequence[float] = (0.0,) * 5, fitted=None) -> tuple[Finding, ...]:
     """Return the findings on the agreement of views, computed from a stand-in for a motion with only these views."""
     # A further lag of 0.3 frames that the fit did not find.
     late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)
     leads = [view.offset_frames for view in views]
     sources = [SimpleNamespace(offset_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
-    frames, solution = np.arange(100, 100 + len(views[0].xy_px)), SimpleNamespace(views=[late, *views[1:]])
+    frames = np.arange(100, 100 + len(views[0].xy_px))
+    solution = SimpleNamespace(views=[late, *views[1:]], joints_m=truth_m())
     motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames, trunk_m=0.7)
-    return agreement_findings(motion, 2.0, KEYPOINT_M)  # type: ignore[arg-type]
+    return agreement_findings(motion, 2.0, KEYPOINT_M, fitted)  # type: ignore[arg-type]
 
 
 def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
@@ -79,6 +82,47 @@ def test_a_turned_camera_is_named_with_its_angle(n, which, axis):
     assert findings(found) == [("camera_turned", (which,))]
     assert np.degrees(notes(found)[which].turn_rad) == pytest.approx(5.0, abs=0.5)
     assert notes(found)[which].level_turned < 1.2
+
+
+@pytest.mark.parametrize(("shift_m", "severity"), [(0.01, "warning"), (0.2, "error")])
+def test_the_effect_of_a_camera_is_that_on_the_fit(shift_m, severity):
+    """The effect is the change of the fit without the camera, however much the camera moves triangulated points."""
+    views, used, joints_m = run_views(3), [], truth_m()
+    views[1] = turned(views[1], 1)
+    stretched_m = joints_m + shift_m + 0.003 * (joints_m - joints_m.mean(axis=1, keepdims=True))
+
+    def fitted(some: Sequence[View]) -> SimpleNamespace:
+        used.append([view.camera.name for view in some])
+        return SimpleNamespace(joints_m=stretched_m)
+
+    item = next(one for one in agreement_of(views, fitted=fitted) if one.code == "camera_turned")
+    assert used == [["cam1", "cam3"]]
+    assert item.numbers["position_effect_m"] == pytest.approx(np.sqrt(3) * shift_m)
+    assert 0.0 < item.numbers["pose_effect_m"] < 0.003
+    assert item.severity == severity  # a camera that contradicts the others grossly is never a note
+    item = next(one for one in agreement_of(views) if one.code == "camera_turned")
+    assert (item.severity, "pose_effect_m" in item.numbers) == ("error", False)
+
+
+def test_the_effect_of_a_camera_agrees_with_a_fit_of_correct_cameras(tmp_path):
+    """The stated effect of a turned camera is about the change of the result if its pose is corrected."""
+    body = load_skeleton("dog-27")
+    states = random_motion(body, np.random.default_rng(0), frames=30)
+    states[:, 2] += 0.1
+    bearings = np.radians([0.0, 30.0, 200.0])
+    centres_m = np.stack([3.0 * np.cos(bearings), 3.0 * np.sin(bearings), np.full(3, 1.0)], axis=1)
+    files, _ = write_rig_clip(tmp_path, "dog-27", states, 60.0, centres_m, 1.0, 0.3, 2.0)
+    cameras = read_cameras((files["rig"],))
+    turn = euler_rotation(np.radians([0.0, 4.0, 0.0]))
+    wrong = replace(cameras[2], rotation=turn @ cameras[2].rotation, translation_m=turn @ cameras[2].translation_m)
+    write_cameras([*cameras[:2], wrong], tmp_path / "turned.toml")
+    clip = {"keypoints": [files[f"cam{number}"] for number in (1, 2, 3)], "skeleton": "dog-27", "fps": 60, "fast": True}
+    clean, motion = (fit_clip(FitSettings(**clip, camera=path)) for path in (files["rig"], tmp_path / "turned.toml"))
+    item = next(one for one in motion.findings if one.code == "camera_turned")
+    apart_m = motion.joints_m - clean.joints_m
+    change_m = np.linalg.norm(apart_m.mean(axis=1), axis=1).mean()
+    assert item.camera == "cam3"
+    assert item.numbers["position_effect_m"] == pytest.approx(change_m, rel=0.5)
 
 
 @pytest.mark.parametrize(
