@@ -15,8 +15,9 @@ from recon.api.clip_inputs import arrange, cleaned_source, read_clips, require_s
 from recon.api.clip_results import input_files
 from recon.api.settings import FitSettings
 from recon.base.arrays import Array, Brief
-from recon.base.errors import InputError, Problem, collect_problems
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.outputs import Output
+from recon.check.inputs import same_keypoints
 from recon.clip import Keypoints, Source, align_cameras, clean, views_of
 from recon.fit.triangulation import Triangulation, smoothed, triangulate_views
 from recon.gait.evaluation import POSE3D, TRIANGULATED
@@ -183,6 +184,8 @@ def _triangulated(
         )
     names = tuple(dict.fromkeys(name for source in sources for name in source.keypoints.names))
     arranged = [replace(source, keypoints=arrange(source.keypoints, names)) for source in sources]
+    copies = [f"the same points from {' and '.join(cameras)}" for cameras, _ in same_keypoints(arranged)]
+    raise_problems(Problem("KEYPOINTS", "keypoints", copy, "a different file for each camera") for copy in copies)
     aligned = align_cameras(arranged, later_frames)
     result = triangulate_views(views_of(aligned), sigma_px)
     cameras = tuple(source.camera.name for source in aligned)

@@ -345,11 +345,16 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
                 or _dropped_frames(keypoints, camera)
             )
         yield from _copied_sides(keypoints, camera)
+    for names, fraction in same_keypoints(sources):
+        yield finding("same_keypoints", cameras=names, share=fraction)
+
+
+def same_keypoints(sources: Sequence[Source]) -> Iterator[tuple[tuple[str, str], float]]:
+    """Yield the names of each two cameras with the same points in the same order, and the fraction of equal points."""
     for a, b in combinations(sources, 2):
         identical, in_both = _identical(a.keypoints.xy_px, b.keypoints.xy_px)
         if _exceeds_chance(identical, in_both):
-            names, fraction = (a.camera.name, b.camera.name), float(identical.sum() / in_both.sum())
-            yield finding("same_keypoints", cameras=names, share=fraction)
+            yield (a.camera.name, b.camera.name), float(identical.sum() / in_both.sum())
 
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:

@@ -98,6 +98,17 @@ def test_one_file_is_refused(clip, tmp_path):
     assert not (tmp_path / "points").exists()
 
 
+def test_a_copy_of_another_cameras_file_is_refused(clip, tmp_path):
+    _, files, _ = clip
+    copied = tmp_path / "cam2.csv"
+    copied.write_bytes(files["cam1"].read_bytes())
+    options = ["--camera", files["rig"], "--fps", 50, "--out", tmp_path / "points"]
+    ended = run("triangulate", files["cam1"], copied, files["cam3"], *options)
+    assert ended.code == 2
+    assert says(ended.err, "same points from cam1 and cam2")
+    assert not (tmp_path / "points").exists()
+
+
 def test_points_triangulated_from_python_are_near_the_truth(clip):
     _, files, truth = clip
     keypoints = [read_keypoints(files[f"cam{i}"], None, FPS) for i in (1, 2)]
