@@ -144,7 +144,7 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         angles = f"All {total} angles" if count == total else f"{count} of {total} angles"
         names = "" if count == total else f": {', '.join(analysis.not_measured)}"
         yield (
-            f"{angles} have less than {percent(MEASURED_FRACTION)} of their precision from the pixels, the rest from "
+            f"{angles} {'has' if count == 1 else 'have'} less than {percent(MEASURED_FRACTION)} of their precision from the pixels, the rest from "
             f"the prior, and are grey in figures{names}."
         )
     if gait is not None and len(motion.foot_names) < 4:

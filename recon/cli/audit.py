@@ -84,11 +84,14 @@ def audit(settings: _AuditSettings) -> Answer:
 
 
 def _answer(result: Audit, files: list[Path]) -> Answer:
+    from recon.check.audit import MIN_FRAMES
+
     points = result.points
     frames = counted(len(points.frames), "frame")
     head = f"{result.source}: {result.content}, {counted(len(points.names), 'point')}, {frames}"
     serious = [item for item in result.findings if item.severity != "note"]
-    summary = counted(len(serious), "finding") if serious else "No fault was found."
+    no_fault = "Not audited." if len(points.frames) < MIN_FRAMES else "No fault was found."
+    summary = counted(len(serious), "finding") if serious else no_fault
     lines = [head, summary, *(finding_text(item.severity, sentence(item)) for item in result.findings)]
     lines += [f"Table and page: {', '.join(map(str, files))}"] if files else []
     data = {

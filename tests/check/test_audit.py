@@ -240,6 +240,16 @@ def test_names_from_other_programs_are_understood():
     assert resolution_of(np.array([np.pi])) == 0.0
 
 
+def test_a_file_that_is_too_short_is_not_called_faultless(tmp_path: Path):
+    source = tmp_path / "short.csv"
+    source.write_text("frame,nose_x,nose_y,tail_x,tail_y\n0,1,2,3,4\n1,2,2,4,4\n2,3,2,5,4\n", encoding="utf-8")
+    ended = run("audit", source, "--fps", 60, "--out", tmp_path / "audit")
+    assert ended.code == 0
+    assert "too few for an audit" in ended.out
+    for text in (ended.out, (tmp_path / "audit" / "audit.html").read_text(encoding="utf-8")):
+        assert "No fault" not in text
+
+
 def test_the_command_writes_a_table_and_a_page(tmp_path: Path):
     source, out = SAMPLES / "whole_truth.csv", tmp_path / "audit"
     ended = run("audit", source, "--fps", 60, "--unit", "m", "--out", out)

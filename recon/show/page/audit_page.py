@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from recon.check.audit import LIMITS, POSES_ONLY, TRACKS_ONLY, measures_of
+from recon.check.audit import LIMITS, MIN_FRAMES, POSES_ONLY, TRACKS_ONLY, measures_of
 from recon.check.audited import AuditedPoints
 from recon.check.codes import sentence
 from recon.fit.result import Finding
@@ -22,7 +22,12 @@ def audit_page(
         values[measure.code] = max(measure.value, values.get(measure.code, measure.value))
     possible = [code for code in LIMITS if code not in (TRACKS_ONLY if points.in_space else POSES_ONLY)]
     checks = [
-        {"code": code, "measure": f"{max(value, 0.0):.2g}", "limit": f"{LIMITS[code]:g}"}
+        {
+            "code": code,
+            "measure": f"{max(value, 0.0):.2g}",
+            "limit": f"{LIMITS[code]:g}",
+            "is_found": value > LIMITS[code],
+        }
         for code in possible
         if (value := values.get(code, 0.0 if code in NEEDS_NOTHING else None)) is not None
     ]
@@ -35,7 +40,7 @@ def audit_page(
         rows=[_row(item, first, last) for item in findings],
         first=first,
         last=last,
-        checks=checks,
+        checks=[] if len(points.frames) < MIN_FRAMES else checks,
         untested=", ".join(code for code in possible if code not in tested),
     )
 
@@ -50,7 +55,8 @@ NEEDS_NOTHING = (
 def _row(item: Finding, first: int, last: int) -> Mapping[str, object]:
     start, stop = item.frames or (first, last + 1)
     span = max(last + 1 - first, 1)
-    frames_text = "the whole file" if item.frames is None else f"frames {start} to {stop - 1}"
+    some_text = f"frame {start}" if stop - start == 1 else f"frames {start} to {stop - 1}"
+    frames_text = "the whole file" if item.frames is None else some_text
     return {
         "severity": item.severity,
         "code": item.code,
