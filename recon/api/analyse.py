@@ -141,11 +141,12 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         yield "Paths and angles are smoothed according to their frame-to-frame jitter."
     if count := len(analysis.not_measured):
         total = len(analysis.skeleton_angles)
-        angles = f"All {total} angles" if count == total else f"{count} of {total} angles"
+        angles = f"All {total} angles have" if count == total else f"{count} of {total} angles have"
+        angles = f"1 of {total} angles has" if count == 1 else angles
         names = "" if count == total else f": {', '.join(analysis.not_measured)}"
         yield (
-            f"{angles} {'has' if count == 1 else 'have'} less than {percent(MEASURED_FRACTION)} of their precision from the pixels, the rest from "
-            f"the prior, and are grey in figures{names}."
+            f"{angles} less than {percent(MEASURED_FRACTION)} of their precision from the pixels, the rest from the "
+            f"prior, which figures show in grey{names}."
         )
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted, so the gait cannot be named."

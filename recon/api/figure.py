@@ -27,7 +27,7 @@ CAPTIONS: Mapping[str, str] = {
         "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: "
         "stance of the foot (for spine and neck: of the foot with the most strides)."
     ),
-    "footfalls": "Stances of the feet over time; thin lines: 90 % interval of each end.",
+    "footfalls": "Stances of the feet over time.",
     "speed": "Speed of {joint} over time; bands: 90 %.",
     "composites": (
         "Configurations over the clip from the side, from above and from ahead, coloured by time. Dashed: left; thin: "
@@ -42,7 +42,10 @@ CAPTIONS: Mapping[str, str] = {
     ),
     "observability": "Fraction of each angle's precision that comes from the pixels (blue) and from the prior (grey).",
     "end_effector": "Motion of the chain's end effector, with the ends of strides.",
-    "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
+    "forces": (
+        "Stances, vertical force of each foot in body weights, and height of the centre of mass; bands: 90 %; gaps: "
+        "stances that the clip cuts."
+    ),
 }
 """Captions of all figures except figures whose names begin with body_fixed or vector_field."""
 _STRIDE_FIGURE = "joint_flexion"
@@ -177,6 +180,10 @@ def _caption(name: str, analysis: ClipAnalysis) -> str:
     if name == "speed" and not analysis.reference_motion.why_no_acceleration:
         text = text.replace("Speed", "Speed and acceleration")
     if name == "footfalls" and analysis.gait is not None:
-        text = f"{text.removesuffix('.')}; lines with ticks: complete strides." if analysis.gait.strides else text
+        from recon.show.plots.over_time import shows_intervals  # matplotlib is slow to import
+
+        if shows_intervals(analysis.gait):
+            strides = "; lines with ticks: complete strides" if analysis.gait.strides else ""
+            text = f"{text.removesuffix('.')}; thin lines: 90 % interval of each end{strides}."
         text += f" Gait: {analysis.gait.name.name} ({analysis.gait.name.criterion})."
     return text

@@ -55,7 +55,7 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "", has_caption
     """
     is_captioned = has_caption and not style.is_printing()
     captions = [_caption(name, gait) for name, gait in gaits.items()] if is_captioned else []
-    is_fine = all(map(_is_fine, gaits.values()))
+    is_fine = all(map(shows_intervals, gaits.values()))
     lines = sum(caption.count("\n") + 1 for caption in captions)
     other_feet = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in FOOT_ROWS]
     feet = [foot for foot in FOOT_ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(
@@ -96,7 +96,7 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "", has_caption
     return figure
 
 
-def _is_fine(gait: Gait) -> bool:
+def shows_intervals(gait: Gait) -> bool:
     """Return whether a gait's stances are long enough in a figure for intervals and strides to be drawn over them."""
     durations_s = [stance.duration_s for stance in gait.stances]
     return not durations_s or float(np.median(durations_s)) >= FINE * float(np.ptp(gait.tracks.time_s))
@@ -165,7 +165,7 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
         time_s = gait.tracks.time_s
         for row, foot in enumerate(feet):
             foot_stances, colour = [s for s in gait.stances if s.foot == foot], style.foot_colour(foot)
-            _bars(top, foot_stances, row, 0.7, colour, 0, _is_fine(gait))
+            _bars(top, foot_stances, row, 0.7, colour, 0, shows_intervals(gait))
             middle, low, high = dynamics.force[foot].T
             below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
             below[row].plot(time_s, dynamics.force[foot][:, 1:], color=colour, lw=0.4)
@@ -178,8 +178,9 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
                 below[row].tick_params(left=False, labelleft=False)  # all feet share this axis
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
-        key = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
-        top.set_title(f"stances, and vertical force of each foot ({key})", loc="left")
+        if not style.is_printing():
+            key = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
+            top.set_title(f"stances, and vertical force of each foot ({key})", loc="left")
         # The label of all feet is beside the middle of their panels.
         below[len(feet) // 2].set_ylabel("vertical force (body weights)", y=1.0 - len(feet) % 2 / 2)
         below[0].set_ylim(bottom=0)
@@ -330,8 +331,8 @@ def phase_portraits(
                 "\nfrom pixels: fraction of the angle's precision, over the whole clip;  "
                 f"grey: less than {percent(MEASURED_FRACTION)}, mostly from the prior"
             )
-        figure.supxlabel(f"angle (deg)\n{marks}", fontsize=8)
-        figure.supylabel("rate (deg/s)", fontsize=8)
+        figure.supxlabel(f"angle (deg)\n{marks}", fontsize="medium")
+        figure.supylabel("rate (deg/s)", fontsize="medium")
         scale = ScalarMappable(colours[1], colours[0])
         figure.colorbar(scale, ax=panels.tolist(), location="right", aspect=50, label="time (s)", pad=0.01)
     return figure
