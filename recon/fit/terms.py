@@ -117,7 +117,10 @@ class Span:
     is_last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
     rotations: Array | None = None
-    """Rotations of the markers' segments, shape (n, J, 3, 3); None unless `COMMON_KEYPOINT_BIAS` is an unknown."""
+    """Rotations of the markers' segments, shape (n, J, 3, 3), for derivatives with respect to `COMMON_KEYPOINT_BIAS`.
+
+    None if the bias is fixed, or if the lengths are unknowns too, so that `recon.fit.body_shape.FreeShape` gives them.
+    """
 
     @property
     def own_rows(self) -> slice:
@@ -127,7 +130,7 @@ class Span:
 
 @dataclass(frozen=True)
 class TermRows:
-    """Cost, residual and derivatives of a term in N frames.
+    """Cost (N,), residual (N, M), Jacobian (N, M, S, D) and derivatives by shared unknowns (N, M, P) of a term.
 
     If no Jacobian was requested, all but the cost are empty.
     """
