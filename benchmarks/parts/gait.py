@@ -174,6 +174,11 @@ def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
     return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]
 
 
+def plate_runs() -> list[Path]:
+    """Return the runs whose stances were measured by force plates."""
+    return sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv"))
+
+
 def plate_stances(run: Path, fps: float) -> list[Stance]:
     measured = pd.read_csv(run / "stances.csv")
     rows = dict(zip(measured["joint"], measured.drop(columns="joint").to_numpy(float), strict=True))
@@ -184,7 +189,7 @@ def plate_stances(run: Path, fps: float) -> list[Stance]:
 def plate_rows() -> list[dict]:
     """Compare the stances of views with the force plates, and test the intervals of their ends."""
     kinds: dict[str, list[tuple[tuple[Stance, ...], list[Stance]]]] = {"single views": [], "reconstructions": []}
-    for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
+    for run in plate_runs():
         about = meta_of(run)
         exact = plate_stances(run, about["fps"])
         for camera in about["cameras"]:
@@ -203,7 +208,7 @@ def held_out_rows(runs: Sequence[Path]) -> list[dict]:
     The criteria are the number of missed stances and the error of the median duration.
     """
     kinds: dict[str, list[tuple[Motion, Sequence[Stance]]]] = {"cheetahs over plates": [], "cheetahs": [], "a dog": []}
-    for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
+    for run in plate_runs():
         about = meta_of(run)
         exact = plate_stances(run, about["fps"])
         kinds["cheetahs over plates"] += [(fitted(run, camera), exact) for camera in about["cameras"]]

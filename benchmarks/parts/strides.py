@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 from arguments import parser_of
 from dog import Clip, body_of, marker_gait, read_clips, write_view
-from gait import fitted, plate_stances
+from gait import fitted, plate_runs, plate_stances
 from markdown_table import print_table
-from recordings import meta_of, recordings
+from recordings import meta_of
 
 from recon import fit_clip, read_pose3d
 from recon.fit.motion import Motion
@@ -49,7 +49,7 @@ CHECKED = {
 def plate_rows() -> list[dict]:
     """Compare stride length, frequency and duty factor of each view with the plates and with all cameras."""
     rows = []
-    for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
+    for run in plate_runs():
         about = meta_of(run)
         exact = gait(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
         stance_s = np.mean([stance.duration_s for stance in plate_stances(run, about["fps"])])

@@ -19,6 +19,7 @@ from recon.base.arrays import Array
 from recon.base.numbers import NORMAL_90
 from recon.check.codes import finding
 from recon.check.likelihood import Baseline, best_seen, effects_m
+from recon.check.stretch import feet_are_detected
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
 from recon.fit.least_squares import Estimate
@@ -53,8 +54,6 @@ The deviation is -0.5 to 0.9 in correct views, -1.3 to 0.2 in views with 1.5 tim
 0.7 times (`python benchmarks/wrong_inputs.py --only limits`, five views each). The limit is above the values of correct
 views, because the deviation is larger in short clips and if the animal is partly hidden.
 """
-MIN_FOOT_FRACTION = 0.25
-"""Minimum fraction of the frames in which each foot is detected, because the size is uncertain without legs."""
 MAX_LOG_EXTRAPOLATION = 0.2
 """Maximum distance of the logarithm of the estimate beyond the range of logarithms that were tried."""
 INSIDE_90 = 0.5 * NORMAL_90**2
@@ -119,8 +118,7 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
     clip, states = baseline.clip.part(rows), baseline.states[rows]
     if not baseline.view.is_still or len(states) < 3 or not np.isfinite(states).all():
         return None
-    foot_fractions = clip.views[0].present[:, clip.feet].mean(axis=0)
-    if not len(foot_fractions) or foot_fractions.min() < MIN_FOOT_FRACTION:
+    if not feet_are_detected(clip):
         return None
     refits = {0.0: _scene_refit(clip, baseline.settled(rows, noise_px))}
     for nearer, farther in (SHORTER_LOG_FACTORS, LONGER_LOG_FACTORS):

@@ -30,12 +30,18 @@ The deviations are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) if x
 (median 3.7) if x is scaled by 1.33 (`python benchmarks/wrong_inputs.py --only limits`).
 """
 MIN_FOOT_FRACTION = 0.25
-"""Minimum fraction of the frames in which each foot is detected, because the height is unknown without legs."""
+"""Minimum fraction of the frames in which each foot is detected, because height and size are uncertain without legs."""
 
 
 def deviation(stretch: Step) -> float:
     """Return the deviation of an estimate from the mean in videos that are not stretched, in standard deviations."""
     return (stretch.value - MEAN_LOG_STRETCH) / math.hypot(LOG_STRETCH_SIGMA, SIGMA_FACTOR * stretch.sigma)
+
+
+def feet_are_detected(clip: ClipProblem) -> bool:
+    """Return whether the animal has feet, and each of them is detected often enough by the only camera."""
+    fractions = clip.views[0].present[:, clip.feet].mean(axis=0)
+    return len(fractions) > 0 and float(fractions.min()) >= MIN_FOOT_FRACTION
 
 
 def stretch_finding(clip: ClipProblem, solution: TrajectorySolution, stretch: Step | None) -> Finding | None:
@@ -44,9 +50,9 @@ def stretch_finding(clip: ClipProblem, solution: TrajectorySolution, stretch: St
     `stretch` is the estimate of `STRETCH`, if there is one.
     """
     segment = solution.longest_segment
-    if segment is None or (clip.views[0].present[segment.rows][:, clip.feet].mean(axis=0) < MIN_FOOT_FRACTION).any():
+    if stretch is None or segment is None or not feet_are_detected(clip.part(segment.rows)):
         return None
-    if stretch is None or LIMITS[0] < deviation(stretch) < LIMITS[1]:
+    if LIMITS[0] < deviation(stretch) < LIMITS[1]:
         return None
     return finding(
         "picture_stretched", factor=math.exp(stretch.value - MEAN_LOG_STRETCH), sigmas=abs(deviation(stretch))

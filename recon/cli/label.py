@@ -9,6 +9,7 @@ from rich.console import Console
 
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.label_frames import LabelSession, frames_by_gain
+from recon.api.settings import DEFAULT_SKELETONS
 from recon.base.local_server import LocalServer, Reply, json_reply, number_in
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
@@ -37,7 +38,7 @@ def label_video(settings: LabelSettings, console: Console) -> Answer:
     elif skeleton is None and project is not None and project.bodyparts:
         names = project.bodyparts
     else:
-        skeleton = skeleton or "cheetah-24"
+        skeleton = skeleton or DEFAULT_SKELETONS["trajectory"]
         names = tuple(dict.fromkeys(name for pair in load_skeleton(skeleton).keypoints for name in pair))
     folder, preferred = settings.out / LABELED_DATA / video.stem, _preferred(settings)
     with sole_editor(folder / f"CollectedData_{scorer}.csv"):

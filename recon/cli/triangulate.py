@@ -48,6 +48,9 @@ def triangulate(settings: _TriangulateSettings, options: _OfClip) -> Answer:
 
 
 def _lines(out: Path, summary: Mapping[str, Any]) -> Iterator[str | Table]:
+    from recon.api.triangulation import COVARIANCES
+    from recon.gait.evaluation import POSE3D, TRIANGULATED
+
     total = summary["frames"] * summary["keypoints"]
     sigma = (
         ""
@@ -69,4 +72,4 @@ def _lines(out: Path, summary: Mapping[str, Any]) -> Iterator[str | Table]:
             )
     if not summary["knows_up"]:
         yield "The cameras' poses do not say which way is up: z is up if the first camera is level (or --set up)."
-    yield f"Written: {out / 'pose3d.csv'}, pose3d_covariance.csv and triangulation.json."
+    yield f"Written: {out / POSE3D}, {COVARIANCES} and {TRIANGULATED}."

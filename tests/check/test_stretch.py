@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from threadpoolctl import threadpool_limits
 
-from recon.check.one_step import one_steps
+from recon.check.one_step import Step, one_steps
 from recon.check.stretch import STRETCH, stretch_finding
 from recon.fit.clip_problem import ClipProblem
 
@@ -30,3 +30,12 @@ def test_a_stretched_picture_is_reported_with_its_factor(sample_fit, factor, is_
     if item is not None:
         assert (item.code, item.severity) == ("picture_stretched", "warning")
         assert item.numbers["factor"] == pytest.approx(factor, rel=0.12)
+
+
+@pytest.mark.parametrize("feet", ["none", "all"])
+def test_the_stretch_is_not_tested_without_feet(sample_fit, feet):
+    clip, solution = sample_fit
+    if feet == "none":
+        clip = replace(clip, body=replace(clip.body, feet=(), foot_labels=()))
+    item = stretch_finding(clip, solution, Step(value=0.5, sigma=0.01))
+    assert (item is None) == (feet == "none")

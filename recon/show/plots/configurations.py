@@ -310,7 +310,7 @@ def views(body: Body, title: str = "") -> Figure:
     return figure
 
 
-def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
+def angle_ranges(body: Body, reach_sigmas: float, title: str) -> Figure:
     """Draw a skeleton for each angle, with the angle `reach_sigmas` standard deviations to either side of its mean.
 
     All other angles have their mean values. The figure of a left angle also stands for the right angle.
