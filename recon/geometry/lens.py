@@ -198,7 +198,8 @@ LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _Ra
 
 def lens_named(text: str) -> str | None:
     """Return recon's name for the lens model that a file calls `text`, or None if recon does not know this model."""
-    return next((lens.name for lens in LENS_MODELS.values() if text in (lens.name, *lens.aliases)), None)
+    written = text.strip().replace(" ", "_")
+    return next((lens.name for lens in LENS_MODELS.values() if written in (lens.name, *lens.aliases)), None)
 
 
 # Functions that the models share

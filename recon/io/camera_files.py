@@ -74,11 +74,11 @@ POSE_KEYS = (
 _OTHER_POSE = re.compile(r"q|quat\w*|euler\w*|orientation|c|eye|(cam(era)?)?(pos(ition)?|cent(er|re)|location)")
 """Pattern of plain keys of a camera's position, or of its direction in numbers other than a matrix or a vector."""
 LENS_KEYS = (
-    *("distortion_model", "camera_model", "projection_model", "distortion_type", "lens_model", "model", "lens"),
+    *("distortion_model", "projection_model", "distortion_type", "lens_model", "camera_model", "model", "lens"),
     *("camera_type", "projection", "lens_type", "model_type", "projection_type", "type"),
 )
 """Keys under which files state a lens model."""
-STRICT_LENS_KEYS = LENS_KEYS[:5]
+STRICT_LENS_KEYS = LENS_KEYS[:4]
 """Keys whose value can only be a lens model, while values of the other `LENS_KEYS` can also name a product."""
 FISHEYE_KEYS = ("fisheye", "fisheye_model", "is_fisheye", "use_fisheye")
 SIZE_KEYS = (
@@ -88,7 +88,13 @@ SIZE_KEYS = (
 """Keys of the picture's width, and of its height."""
 _PERSPECTIVE = ("pinhole", "perspective")
 """Names of camera models that do not describe the lens distortion."""
-_OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
+_OTHER_LENS = re.compile(
+    r"fish|omni|equi|kannala|brandt|\bmei\b|thin|division|unified|fov|eucm|\bds\b|double|sphere|scaramuzza|ocam|\batan\b",
+    re.IGNORECASE,
+)
+"""Pattern of lens models in a text that can also name a product."""
+_NO = {"no", "false", "off", "0", "none", ""}
+"""Words that negate a key of `FISHEYE_KEYS`."""
 MAX_NESTING = 5_000
 """Largest number of nested levels in a file that is read, because OpenCV crashes on deeply nested files."""
 
@@ -229,8 +235,11 @@ def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
             stated[key] = known or text
     for name in FISHEYE_KEYS:
         key = key_in(table, (name,))
-        if key is not None and table[key]:
+        if key is not None and table[key] and str(table[key]).strip().lower() not in _NO:
             stated[key] = "fisheye"
+    key = key_in(table, ("xi",))
+    if key is not None and _array([table[key]]).any():
+        stated[key] = "omnidirectional"  # the mirror parameter of OpenCV's omnidir and of Mei's model
     if len({*stated.values()}) > 1:
         return ", ".join(stated), " and ".join(stated.values())
     return next(iter(stated.items()), ("distortion_model", None))

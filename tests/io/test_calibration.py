@@ -557,12 +557,32 @@ class TestLayoutsOfLabs:
         [
             ({}, ("D", "4 coefficients", ["plumb_bob", "equidistant"])),
             ({"camera_model": "omni"}, ("camera_model", "'omni'", "radtan")),
+            ({"camera_model": "ds"}, ("camera_model", "'ds'", "radtan")),
+            ({"xi": 1.2}, ("xi", "omnidirectional", "radtan")),
+            ({"xi": [[1.2]], "D": RADTAN}, ("xi", "omnidirectional", "radtan")),
+            ({"camera_model": "GoPro HERO9"}, ("D", "4 coefficients", ["plumb_bob", "equidistant"])),
             ({"lens": "fisheye", "distortion_model": "plumb_bob"}, ("distortion_model, lens", ["radtan and fisheye"])),
         ],
     )
     def test_an_ambiguous_lens_is_refused(self, write, more, expected):
         values = {"K": K, "D": FISHEYE, "width": 1920, "height": 1080, **more}
         refuses(write("a.json", values), expected)
+
+    @pytest.mark.parametrize(
+        "more",
+        [
+            {"camera_model": "GoPro HERO9 Black"},
+            {"model": "Basler acA1920"},
+            {"distortion_model": "plumb bob"},
+            {"fisheye": "no"},
+            {"is_fisheye": "False"},
+            {"xi": 0},
+        ],
+    )
+    def test_words_that_state_no_other_lens(self, write, more):
+        """Names of products and negations are no lens models."""
+        values = {"K": K, "D": RADTAN, "width": 1920, "height": 1080, **more}
+        assert_camera(read_camera(write("a.json", values)), RADTAN, "radtan", world_z_up=False)
 
     def test_message_that_ros_2_printed(self, write):
         """The line --- at the end of a message is no further document."""
