@@ -489,6 +489,6 @@ def _add_shared(
     for slot, offset in enumerate(stencil):
         frames = slice(first + offset, first + offset + len(K))
         add_to_columns(border[frames], shared_columns, rows.jacobian[:, :, slot].swapaxes(1, 2) @ K)
-    flat = K.reshape(-1, len(shared_columns))
+    flat = K.reshape(rows.residual.size, len(shared_columns))
     corner[np.ix_(shared_columns, shared_columns)] += flat.T @ flat
     shared_gradient[shared_columns] += flat.T @ rows.residual.ravel()

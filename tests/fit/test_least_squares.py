@@ -420,6 +420,15 @@ def test_a_step_of_the_size_keeps_the_animal_in_the_picture_of_one_camera():
     np.testing.assert_allclose(found.states[:, 0], 0.5, atol=1e-2)
 
 
+def test_an_animal_that_stays_where_it_is_shows_no_sideslip():
+    rear, front = (BODY.markers.index(marker) for marker in BODY.forward)
+    unknown = SharedUnknown(SIDESLIP, np.zeros(1), np.array([0.2]))
+    problem = LeastSquares(BODY.detected, [], [Heading(rear, front, FPS, 0.5)], [unknown])
+    normal = problem.normal(np.repeat(some_states()[:1], 3, axis=0))
+    np.testing.assert_array_equal(normal.corner, [[0.2**-2.0]])
+    np.testing.assert_array_equal(normal.border, 0.0)
+
+
 def test_a_step_is_extended_to_the_least_cost_on_its_parabola():
     from recon.fit.least_squares import _best_length
 
