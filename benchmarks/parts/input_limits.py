@@ -11,7 +11,8 @@ of data/samples. Wrong clips are every n-th view with a case of `wrong_inputs.py
 - long steps by themselves: the fraction of the long steps that exceed `ISOLATED_STEP_RATIO` times both their
   neighbours, for clips with more long steps than `LONG_STEP_FRACTION`
 - feet below trunk: `feet_below_trunk`, which does not depend on a fit
-- zoom: the logarithm of the fitted zoom per second, up to `MAX_ZOOM_FACTOR` times `ZOOM_PER_S`
+- zoom: the logarithm of the fitted zoom per second, up to `MAX_ZOOM_FACTOR` times `ZOOM_PER_S`; 0 if no zoom by
+  `ZOOM_PER_S` fits better than none
 - feet backwards: the backward speed of standing feet, relative to the speed of the body over the feet, for clips in
   which the body moves faster over its feet than `SLIDE_LEGS_S`
 - feet, m/s: the speed of standing feet along the trunk
@@ -122,15 +123,14 @@ def statistics_of_motion(motion: Motion, prior: MotionPrior, options: Trajectory
     clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, options)
     zooms: list[float] = []
 
-    def zoom_of(nearer: float, farther: float, unpatched: Callable[..., float] = likelihood.zoom_of) -> float:
-        zooms.append(unpatched(nearer, farther))
+    def zoom_of(gain: float, opposite_gain: float, unpatched: Callable[..., float] = likelihood.zoom_of) -> float:
+        zooms.append(unpatched(gain, opposite_gain))
         return zooms[-1]
 
     with patch.object(likelihood, "zoom_of", zoom_of):
         baseline = likelihood.baseline_of(clip, 0, solution.states, solution.size)
         list(likelihood.lens_findings(baseline, solution.noise_px[0]))
-    if zooms:
-        found["zoom"] = zooms[0]
+    found["zoom"] = zooms[0] if zooms else 0.0
     speeds = inputs.feet_speeds(motion)
     if speeds is None:
         return found

@@ -488,6 +488,8 @@ some of these zooms are reported (`--only zoom` counts them).
 """
 MAX_ZOOM_FACTOR = 5.0
 """Largest zoom that is tried, as a multiple of `ZOOM_PER_S`."""
+_SMALL_ZOOM = 1e-4
+"""Logarithm of a zoom per second that is so small that detections move by far less than their noise."""
 _LENS_ITERATIONS = 6
 """Maximum number of iterations of a fit with another lens or zoom."""
 DETECTED_FRACTION = 0.25
@@ -496,8 +498,6 @@ DETECTED_FRACTION = 0.25
 A zoom is tested only with such keypoints, and only if all feet are among them. Otherwise an animal that leaves the
 picture would seem to shrink, and the feet would not show whether they slide.
 """
-_Minimum = Callable[[View, Array], Estimate]
-"""Function that fits one second of a view, starting from states (T, D)."""
 
 
 def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution) -> float:
@@ -521,9 +521,11 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
         return
     *_, standing = contacts(clip, clip.markers(states), 1.0)
 
+    def problem(view: View) -> LeastSquares:
+        return replace(clip, views=(view,)).problem(noise_px[None, stretch], 1.0, standing)
+
     def minimum(view: View, states: Array) -> Estimate:
-        problem = replace(clip, views=(view,)).problem(noise_px[None, stretch], 1.0, standing)
-        return problem.minimise(states, _RATE_TOLERANCE, _LENS_ITERATIONS)
+        return problem(view).minimise(states, _RATE_TOLERANCE, _LENS_ITERATIONS)
 
     as_given = baseline.settled(stretch, noise_px)
     flat = replace(view.camera, model="pinhole", distortion=np.zeros(0))
@@ -539,7 +541,7 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
     lasting = (thirds[0].mean(axis=0) > DETECTED_FRACTION) & (thirds[-1].mean(axis=0) > DETECTED_FRACTION)
     if lasting[clip.feet].all():
         lasting_view = replace(view, xy_px=np.where(lasting[:, None], view.xy_px, np.nan))
-        yield from _zooms(clip, lasting_view, as_given.states, minimum)
+        yield from _zooms(clip, lasting_view, minimum(lasting_view, as_given.states), problem)
 
 
 def _without_lens(clip: ClipProblem, flat: Camera) -> float:
@@ -555,18 +557,31 @@ def _without_lens(clip: ClipProblem, flat: Camera) -> float:
     return whole_fit_gain(straight, bent)
 
 
-def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
-    centre, time = view.camera.matrix[:2, 2], np.linspace(-0.5, 0.5, len(states))[:, None, None]
+def _zooms(
+    clip: ClipProblem, view: View, as_given: Estimate, problem: Callable[[View], LeastSquares]
+) -> Iterator[Finding]:
+    """Yield the finding on a picture that zooms, if any, given the solution without a zoom."""
+    centre, time = view.camera.matrix[:2, 2], np.linspace(-0.5, 0.5, len(as_given.states))[:, None, None]
 
-    def at(zoom: float, states: Array) -> Estimate:
-        return minimum(replace(view, xy_px=centre + (view.xy_px - centre) * np.exp(-zoom * time)), states)
+    def at(zoom: float) -> LeastSquares:
+        return problem(replace(view, xy_px=centre + (view.xy_px - centre) * np.exp(-zoom * time)))
 
-    as_given = at(0.0, states)
-    nearer, farther = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM_PER_S, -ZOOM_PER_S))
-    zoom = zoom_of(nearer, farther)
+    def minimum(zoom: float) -> Estimate:
+        return at(zoom).minimise(as_given.states, _RATE_TOLERANCE, _LENS_ITERATIONS)
+
+    def gain(zoom: float) -> float:
+        return as_given.cost - minimum(zoom).cost
+
+    # The states that fit best with a small zoom change the cost only to second order.
+    nearer, farther = (at(zoom).cost(as_given.states) for zoom in (_SMALL_ZOOM, -_SMALL_ZOOM))
+    direction = 1 if nearer < farther else -1
+    gained = gain(direction * ZOOM_PER_S)
+    if gained <= 0:  # the most likely zoom is less than half of this one
+        return
+    zoom = direction * zoom_of(gained, gain(-direction * ZOOM_PER_S))
     if abs(zoom) < ZOOM_PER_S:
         return
-    zoomed = at(zoom, as_given.states)
+    zoomed = minimum(zoom)
     if exceeds_margin(ratio := as_given.cost - zoomed.cost):
         numbers = {"log_likelihood_ratio": ratio, **effects_m(clip, as_given.states, zoomed.states)}
         sight_m = clip.in_world(clip.markers(zoomed.states)).mean(axis=1) - view.centre_m
@@ -574,13 +589,13 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
         yield finding("picture_zooms", None, None, way="in" if zoom > 0 else "out", **numbers)
 
 
-def zoom_of(nearer: float, farther: float) -> float:
+def zoom_of(gain: float, opposite_gain: float) -> float:
     """Return the logarithm of the most likely zoom per second, the maximum of a parabola through three gains.
 
-    `nearer` and `farther` are the log-likelihood gains of the zooms `ZOOM_PER_S` and -`ZOOM_PER_S`. The gain without a
-    zoom is 0.
+    `gain` and `opposite_gain` are the log-likelihood gains of the zooms `ZOOM_PER_S` and -`ZOOM_PER_S`. The gain
+    without a zoom is 0.
     """
-    slope, bend = 0.5 * (nearer - farther), nearer + farther
+    slope, bend = 0.5 * (gain - opposite_gain), gain + opposite_gain
     return ZOOM_PER_S * float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -MAX_ZOOM_FACTOR, MAX_ZOOM_FACTOR))
 
 
@@ -702,10 +717,10 @@ def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
     def cost(steps: int) -> float:
         return _rate_cost(*_at_rate(thin, thin_states, RATE_STEP**steps, correlation_frames))
 
-    steps, previous_steps = 0, 1
-    while steps != previous_steps and abs(steps) < RATE_STEPS:  # steps in the direction of lower cost
-        candidates: list[int] = [steps, steps - 1, steps + 1]
-        steps, previous_steps = min(candidates, key=cost), steps
+    steps = 0
+    for direction in (-1, 1):
+        while abs(steps) < RATE_STEPS and cost(steps + direction) < cost(steps):
+            steps += direction
     if abs(steps) in (0, RATE_STEPS):
         return 1.0, 0.0
     slope = 0.5 * (cost(steps + 1) - cost(steps - 1))
