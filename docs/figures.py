@@ -90,7 +90,6 @@ def viewer_pictures(clip: Path, out: Path) -> None:
     """Make the screenshots of the playbacks of a clip, of its motion on two robots, and of a climb."""
     for robot in ("a1", "aibo"):
         app(["retarget", str(clip), "--robot", robot, "--out", str(out / robot)], standalone_mode=False)
-    app(["climb", "published-50", "--out", str(out / "climb")], standalone_mode=False)
     screenshot(clip / "motion.rrd", 22, HERE / "playback.png", 1600)
     screenshot(out / "a1" / "motion.rrd", 100, HERE / "images" / "robot_a1.png", 1200)
     screenshot(out / "aibo" / "motion.rrd", 100, HERE / "images" / "robot_aibo.png", 1200)
@@ -162,6 +161,8 @@ def main() -> None:
         save(out / "advice" / "camera_advice.png", "camera_advice.png", 900)
         app(["skeleton", "check", str(HERE / "my-cat.toml"), "--out", str(out / "my-cat")], standalone_mode=False)
         save(out / "my-cat" / "skeleton.png", "skeleton.png", 900)
+        app(["climb", "published-50", "--out", str(out / "climb")], standalone_mode=False)
+        save(out / "climb" / "footfalls.png", "../climb.png", 900)
         if with_viewer:
             viewer_pictures(clip, out)
 

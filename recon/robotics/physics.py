@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import comb
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
+from recon.base.numbers import decimals
 from recon.robotics.models import MjModel, MjSpec, read_model, require_mujoco, root_of
 from recon.robotics.quadruped import LEGS, SUFFIXES, Quadruped
 from recon.robotics.retarget import LEGS_APART, RobotMotion, moved_by, stances, swinging
@@ -614,6 +616,10 @@ def least_share(motion: RobotMotion, model: MjModel) -> float:
     return min(rule["share"] for rule in kept(check(motion, model)[1]).values())
 
 
+TITLE_CHARACTERS = 60
+"""Largest number of characters in a line above a panel of half the page's width."""
+
+
 def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[str, Rule], title: str) -> Figure:
     """Draw the margins (K,) of each rule over time, with a dot at the smallest margin.
 
@@ -628,7 +634,9 @@ def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[s
             axes.axhline(per_unit * enough, color=GREY, lw=0.8)
             axes.plot(time_s, drawn_rules, color="k", lw=0.9)
             axes.plot(time_s[least], drawn_rules[least], "o", ms=3, color="k")
-            axes.set_title(f"{label}: minimum {drawn_rules[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)
+            smallest = float(drawn_rules[least])
+            heading = fill(f"{label}: minimum {smallest:{decimals(smallest)}} {unit}", TITLE_CHARACTERS)
+            axes.set_title(heading, fontsize=SMALL, loc="left", pad=2)
             axes.set_ylabel(unit, fontsize=SMALL)
         for axes in panels[-2:]:
             axes.set_xlabel("time (s)")

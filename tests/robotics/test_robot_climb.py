@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tomli_w
 from command_line import refusal, refused, run, says
+from matplotlib.text import Text
 from rerun.chunk import RrdReader
 from scipy.integrate import quad
 from scipy.optimize import root
@@ -364,8 +365,14 @@ def test_the_figure_shows_the_margins(aibo):
     support = 1000 * found.margins["support"]
     shown = {name: found.margins[name] for name in ("support", "corner")}
     figure = margins_figure(found.motion.time_s, shown, RULES, "a title")
-    title = f"{RULES['support'].title}: minimum {found.least['support'][0]:.3g} mm"
-    assert figure.axes[0].get_title(loc="left") == title
+    title = f"{RULES['support'].title}: minimum {found.least['support'][0]:.1f} mm"
+    assert figure.axes[0].get_title(loc="left").replace("\n", " ") == title
+    figure.draw_without_rendering()
+    first, second = (
+        next(text for text in axes.findobj(Text) if "minimum" in text.get_text()).get_window_extent()
+        for axes in figure.axes
+    )
+    assert first.x1 < second.x0  # titles of neighbours do not run into each other
     assert figure.axes[0].lines[2].get_ydata()[0] == support.min()
 
 

@@ -148,6 +148,8 @@ def test_a_page_states_the_numbers_of_the_report(page, folder):
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}, with the fitted pose" for frame in range(10, 18)}
     assert page.html.count("<svg") == 3
+    figures = re.findall(r'<div class="figure \w+" role="img" aria-label="([^"]+)"', page.html)
+    assert figures == headings[:3]  # a reader of the screen hears what each figure shows
     assert set(page.attributes("a", "href")) == set(read_manifest(folder).files)
 
 
