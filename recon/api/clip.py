@@ -291,7 +291,7 @@ def _check_agreement(fit: _Fit, motion: Motion, inputs: ClipInputs) -> _Fit:
         return solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options)
 
     agreement = agreement_findings(motion, *noise, fitted)
-    return replace(fit, findings=(*swaps_by_effect(fit.findings, motion, *noise), *agreement))
+    return replace(fit, findings=(*swaps_by_effect(fit.findings, motion, fitted), *agreement))
 
 
 def _chain_of(body: Body, settings: FitSettings) -> Chain | None:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from recon.animal.body import MIN_JOINTS
+from recon.animal.body import opposites
 from recon.base.arrays import Array
 from recon.check.codes import EFFECTS, by_effect, finding
 from recon.check.sights import (
@@ -69,6 +69,10 @@ MAX_FRAMES = 480
 
 In a longer clip, the stretch of frames with the most detections in common is used.
 """
+SWAPS = ("left_right_swap", "left_right_swap_possible")
+"""Codes of findings on left-right swaps that the result contains."""
+_FRAMES_BESIDE_SWAP = 10
+"""Number of frames before and after a swap in the fit that determines its effect. Farther frames hardly matter."""
 _KEPT_POINTS = 16
 """Number of groups of cameras whose triangulated points are cached for further comparisons."""
 Comparison = dict[str, float]
@@ -176,27 +180,44 @@ def _without_exchange(
     return (sights, (), limit) if exchanged is None else (trials[exchanged], exchanged, limit)
 
 
-def swaps_by_effect(
-    findings: Sequence[Finding], motion: Motion, sigma_px: float, keypoint_sigma_m: float
-) -> tuple[Finding, ...]:
-    """Return the findings, with the severity of each left-right swap reduced if it hardly moves triangulated points.
+def swaps_by_effect(findings: Sequence[Finding], motion: Motion, fitted: Fitted) -> tuple[Finding, ...]:
+    """Return the findings, with the severity of each left-right swap reduced if it hardly changes the fit.
 
-    A swap in one camera has little effect if the other cameras agree, because the robust fit follows them. With fewer
-    than three cameras, the findings are not changed. The other parameters are as in `agreement_findings`.
+    A swap in one camera has little effect if the other cameras agree, because the robust fit follows them. The effect
+    of a swap is the change of a fit of the frames around it, in which all swaps are exchanged back. With fewer than
+    three cameras, the findings are not changed.
     """
-    names = [view.camera.name for view in motion.solution.views]
-    if len(names) < 3 or not any(item.code.startswith("left_right_swap") for item in findings):
+    views = motion.solution.views
+    swaps = [item for item in findings if item.code in SWAPS and item.frames and item.names("keypoints")]
+    if len(views) < 3 or not swaps:
         return tuple(findings)
+    exchanged_back = _without_swaps(motion, swaps)
     weighed = []
     for item in findings:
-        if item.code in ("left_right_swap", "left_right_swap_possible") and item.frames and item.camera:
-            rows = slice(*np.searchsorted(motion.frames, item.frames))
-            views = [view.part(rows) for view in motion.solution.views]
-            v, sights = names.index(item.camera), sights_of(views, sigma_px, keypoint_sigma_m)
-            effect = _effect_m(sights, v, [o for o in range(len(names)) if o != v])
+        if item in swaps:
+            first, stop = np.searchsorted(motion.frames, item.frames or ())
+            stop = min(stop, first + MAX_FRAMES)
+            around = slice(max(first - _FRAMES_BESIDE_SWAP, 0), stop + _FRAMES_BESIDE_SWAP)
+            joints_m = fitted([view.part(around) for view in exchanged_back]).joints_m
+            inside = slice(first - around.start, stop - around.start)
+            effect = _effect_on_fit(motion.solution.joints_m[first:stop], joints_m[inside])
             item = by_effect(replace(item, numbers=item.numbers | effect), motion.trunk_m)
         weighed.append(item)
     return tuple(weighed)
+
+
+def _without_swaps(motion: Motion, swaps: Sequence[Finding]) -> list[View]:
+    """Return the views of a motion with left and right exchanged in the frames and keypoints of the swaps."""
+    views, opposite = [*motion.solution.views], np.array(opposites(motion.body.markers))
+    names = [view.camera.name for view in views]
+    for swap in swaps:
+        v, rows = names.index(str(swap.camera)), slice(*np.searchsorted(motion.frames, swap.frames or ()))
+        is_named = np.isin(motion.body.markers, swap.names("keypoints"))
+        order = np.where(is_named, opposite, np.arange(len(opposite)))
+        xy_px, confidence = views[v].xy_px.copy(), views[v].confidence.copy()
+        xy_px[rows], confidence[rows] = xy_px[rows][:, order], confidence[rows][:, order]
+        views[v] = replace(views[v], xy_px=xy_px, confidence=confidence)
+    return views
 
 
 def _effect_on_fit(joints_m: Array, others_m: Array) -> dict[str, float]:
@@ -212,28 +233,6 @@ def _effect_on_fit(joints_m: Array, others_m: Array) -> dict[str, float]:
     middle_m = apart_m.mean(axis=1, keepdims=True)
     lengths_m = (float(np.linalg.norm(vectors_m, axis=-1).mean()) for vectors_m in (apart_m - middle_m, middle_m))
     return dict(zip(EFFECTS, lengths_m, strict=True))
-
-
-def _effect_m(sights: Sequence[Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
-    """Return the distances by which camera v moves the points triangulated from the cameras `partners`, m.
-
-    The values are listed in `EFFECTS`: the movement of the points about their mean, and the movement of this mean, both
-    averaged over joints and frames. Both are NaN if `partners` see too few points.
-    """
-    effects = dict.fromkeys(EFFECTS, np.nan)
-    if len(partners) < 2:
-        return effects
-    without_m, _ = meeting_points([sights[o] for o in partners])
-    with_m, _ = meeting_points([sights[o] for o in sorted({*partners, v})])
-    shift_m = with_m - without_m
-    is_known = np.isfinite(shift_m[..., 0])
-    is_enough = is_known.sum(axis=1) >= MIN_JOINTS
-    if is_known[is_enough].sum() < MIN_POINTS:
-        return effects
-    shift_m = shift_m[is_enough]
-    middle_m = np.nanmean(shift_m, axis=1, keepdims=True)
-    pose_m = float(np.nanmean(np.linalg.norm(shift_m - middle_m, axis=-1)))
-    return dict(zip(EFFECTS, (pose_m, float(np.linalg.norm(middle_m, axis=-1).mean())), strict=True))
 
 
 def _compare_with_agreeing(

@@ -8,10 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from example_run import ASIDE, FPS, KEYPOINT_M, POSES, late, run_views, truth_m, view_of
+from example_run import ASIDE, BODY, FPS, KEYPOINT_M, POSES, late, run_views, truth_m, view_of
 
 from recon import FitSettings, fit_clip, load_skeleton, read_cameras, write_cameras
-from recon.check.agreement import MAX_FRAMES, agreement_findings
+from recon.check.agreement import MAX_FRAMES, agreement_findings, swaps_by_effect
+from recon.check.codes import finding
 from recon.check.refined_poses import why_not_refined
 from recon.clip import View
 from recon.fit.result import Finding, TrajectorySolution
@@ -233,3 +234,32 @@ def test_refined_poses_that_fit_worse_are_used_only_if_allowed(two_cameras):
     assert reasons([10.0, 10.0]) == ["cameras_not_refined"]
     assert reasons([10.0, 10.0], may_fit_worse=True) == []
     assert reasons([5.0, 100.0], may_fit_worse=True) == ["cameras_not_refined"]
+
+
+@pytest.mark.parametrize(("shift_m", "severity"), [(0.01, "note"), (0.04, "warning")])
+def test_the_effect_of_a_swap_is_that_on_a_fit_without_it(shift_m, severity):
+    """Left and right are exchanged back in the swapped frames, and the frames around them are fitted again."""
+    views, joints_m, fitted_views = run_views(3), truth_m(), []
+    names, rows = ("l_front_paw", "r_front_paw"), slice(20, 25)
+    columns = [BODY.markers.index(name) for name in names]
+    swapped_px = views[1].xy_px.copy()
+    swapped_px[rows, columns] = views[1].xy_px[rows, columns[::-1]]
+    solution = SimpleNamespace(views=[views[0], replace(views[1], xy_px=swapped_px), views[2]], joints_m=joints_m)
+    frames = np.arange(100, 100 + len(joints_m))
+    motion = SimpleNamespace(solution=solution, frames=frames, body=BODY, trunk_m=0.7)
+
+    def fitted(some: Sequence[View]) -> SimpleNamespace:
+        fitted_views[:] = some
+        return SimpleNamespace(joints_m=joints_m[10:35] + np.array([shift_m, 0.0, 0.0]))
+
+    swap = finding("left_right_swap", (120, 125), "cam2", part="the fore legs", keypoints=names)
+    other = finding("frame_rate", given_hz=30.0, other_hz=60.0)
+    weighed = swaps_by_effect((other, swap), motion, fitted)  # type: ignore[arg-type]
+    assert weighed[0] is other
+    assert weighed[1].severity == severity
+    assert weighed[1].numbers["position_effect_m"] == pytest.approx(shift_m)
+    assert weighed[1].numbers["pose_effect_m"] == pytest.approx(0.0, abs=1e-12)
+    for used, view in zip(fitted_views, views, strict=True):
+        np.testing.assert_array_equal(used.xy_px, view.xy_px[10:35])
+    solution.views = solution.views[:2]
+    assert swaps_by_effect((swap,), motion, fitted) == (swap,)  # type: ignore[arg-type]

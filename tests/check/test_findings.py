@@ -114,7 +114,7 @@ SENTENCES = {
         {"hfov_deg": 118.2, "pose_effect_m": 0.057, "position_effect_m": 2.2},
     ),
     "left_right_swap": (
-        "look swapped in frame 10, in the fore legs, and they are swapped in the pose too. Look",
+        "look swapped in frame 10, in the fore legs. They are swapped in the pose too. Look",
         {"part": "the fore legs"},
     ),
     "left_right_swap_possible": (
