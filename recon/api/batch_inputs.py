@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cache, partial
 from itertools import count as counting
 from itertools import islice
@@ -369,6 +370,12 @@ def _header(path: Path) -> list[str]:
     return [cell.strip() for cell in next(text_rows(path), (0, []))[1]]
 
 
+def _expected_column(name: str, known: Sequence[str]) -> str:
+    """Return the column of a manifest that a wrong name resembles, or all columns."""
+    meant = get_close_matches(name.replace("-", "_"), known, 1, 0.8)
+    return f"a known column, perhaps {meant[0]}" if meant else f"one of {', '.join(known)}"
+
+
 def _drafts_of_manifest(path: Path) -> list[_Draft]:
     """Return one draft per row of a manifest.
 
@@ -380,7 +387,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
     header, known = _header(path), ("out", *EXPERIMENT, *SETTINGS)
     many = {name for name, info in SETTINGS.items() if info.is_many}
     problems = [
-        Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
+        Problem(path, f"column {name!r}" if name else "header", "an unknown column", _expected_column(name, known))
         for name in header
         if name not in known
     ]

@@ -425,7 +425,7 @@ def test_a_manifest_row_can_list_several_cameras(tmp_path):
     manifest(tmp_path, "keypoints\nz*.csv\n")
     refuses([path], (path, "line 2, keypoints", "z*.csv"))
     manifest(tmp_path, "keypoint,camera\nx1.csv,scene.json\n")  # is read as a manifest with a wrong column name
-    refuses([path], (path, "column 'keypoint'", "unknown"), (path, "line 2, keypoints", "nothing"))
+    refuses([path], (path, "column 'keypoint'", "unknown", "perhaps keypoints"), (path, "line 2, keypoints", "nothing"))
     manifest(tmp_path, "frame,bodypart,x,y,camera\n0,nose,1,2,north\n")
     assert not is_manifest(path)  # a table of keypoints with a column of cameras
 
