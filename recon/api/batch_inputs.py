@@ -323,6 +323,10 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         files, file_notes = _files_in(poses)
         drafts += [_Draft((path,), row, named_after=folder / path.name, cam_regex=cam_regex) for path in files]
         notes += file_notes
+        unfiltered = folder / str(_table(config, "pipeline").get("pose_2d", POSES["pose_2d"]))
+        if unfiltered != poses and unfiltered.is_dir():  # filtering may have ended before its last file
+            unread = sorted({path.stem for path in _files_in(unfiltered)[0]} - {path.stem for path in files})
+            notes += [f"Not read, because only {unfiltered} has them: {names_text(unread)}"] if unread else []
     raise_problems(dict.fromkeys(problems))
     if not drafts:
         searched = names_text([str(poses) for _, poses in sessions])

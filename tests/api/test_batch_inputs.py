@@ -385,8 +385,9 @@ def test_anipose_projects_are_found(tmp_path):
     assert [(clip.name, clip.settings.camera_name) for clip in clips] == [("walk", ("A", "B")), ("trot", ("B",))]
     assert {clip.settings.camera for clip in clips} == {(tmp_path / "rex/calibration/calibration.toml",)}
     assert input_problems(clips) == [(), ()]
-    sessions, several, without = notes
+    sessions, unfiltered, several, without = notes
     assert says(sessions, "2 Anipose sessions", "3 files", "pose-2d and pose-2d-filtered")
+    assert says(unfiltered, "Not read", tmp_path / "rex/day2/pose-2d", "trot-camA, walk-camA")
     assert says(several, "2 files", "1 clip", "cam_regex", tmp_path / "config.toml", "--cameras-by none")
     assert says(without, "fewer cameras", "trot (A)")
     both = [tmp_path / "rex/day1", tmp_path / "rex/day2/pose-2d"]
