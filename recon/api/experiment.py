@@ -373,7 +373,7 @@ def fit_experiment(
     tuple
         The models, and notes on quantities without one.
     """
-    models, notes = [], []
+    models, without = [], dict[str, list[str]]()
     for name in quantities:
         used = [covariate for covariate in covariates if covariate != name]
         is_known = np.isfinite(runs[[name, f"{name}_measurement_sigma", *used]].to_numpy(float)).all(axis=1)
@@ -385,13 +385,14 @@ def fit_experiment(
         if animals <= columns:
             needed = f"{counted(columns, 'group or covariate') if columns == 1 else f'{columns} groups and covariates'}"
             enough = f"{counted(animals, 'animal')} for {needed}; at least {columns + 1} are needed"
-            notes.append(f"No mixed model of {_title(name)}: {enough}.")
+            without.setdefault(enough, []).append(_title(name))
             continue
         model = _fit(name, known, strides, groups, used)
         if model is None:
-            notes.append(f"No mixed model of {_title(name)}: {names_text(used)} cannot be separated from the groups.")
+            without.setdefault(f"{names_text(used)} cannot be separated from the groups", []).append(_title(name))
         else:
             models.append(model)
+    notes = [f"No mixed model of {names_text(names)}: {reason}." for reason, names in without.items()]
     if models:
         notes += _joined_levels(models)
     return models, notes

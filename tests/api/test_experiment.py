@@ -255,6 +255,9 @@ def test_the_command_compares_a_herd_and_plans(
     page = (out / "compare.html").read_text(encoding="utf-8")
     assert page.count('<polyline class="pair"') == 4  # the two runs of anna, in four plots
     assert says(page, "thin lines: the same animal", "by the mixed model", "treated - control", "between animals")
+    compared = effects[~effects["effect"].str.startswith("mean of ")]
+    clear = int(((compared["low"] > 0) | (compared["high"] < 0)).sum())
+    assert 0 < page.count("<strong>") == clear < len(effects)
     plan = run("compare", out, "--plan", "effect=10% quantity=stride_length_m", "--json")
     assert [row["animals"] >= 2 for row in json.loads(plan.out)["plan"]["plan"]] == [True] * 8
     assert says(

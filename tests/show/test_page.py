@@ -8,6 +8,7 @@ import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.resources import files
 from pathlib import Path
 from urllib.parse import quote, unquote
 
@@ -108,6 +109,15 @@ def test_a_page_has_no_link_to_a_file_that_was_changed(folder, tmp_path):
     assert says(answer.notes[0], "angles.csv", "not linked")
     links = Page(answer.data["page"]).attributes("a", "href")
     assert set(links) == set(read_manifest(folder).files) - {"angles.csv"}
+
+
+def test_no_field_of_a_template_has_the_name_of_a_method():
+    """Jinja finds the method of a dictionary before its item, and a method is always true."""
+    methods = "|".join(name for name in dir(dict) if not name.startswith("_"))
+    for template in (files("recon.show.page") / "templates").iterdir():
+        text = template.read_text(encoding="utf-8")
+        for expression in re.findall(r"{[{%](.*?)[%}]}", text, re.DOTALL):
+            assert not re.search(rf"\w\.({methods})\b(?!\()", expression), (template.name, expression)
 
 
 def test_marks_of_direction_are_shown_as_codes():

@@ -69,10 +69,11 @@ def compare_page(
     counter = Counter(row["verdict"] or "no verdict" for row in clip_rows)
     levels = [f"{counter[level]} {level}" for level in dict.fromkeys((*reversed(LEVELS), *counter)) if counter[level]]
     strides = counted(int(clips["strides"].sum()), "stride")
+    unit = "clip" if effects is None else "run"
     return rendered(
         "compare.html",
         title=f"Comparison by {group_by}" if group_by else "Comparison",
-        subtitle=f"{title}: {counted(len(clips), 'clip')}, {', '.join(levels)}; {strides}",
+        subtitle=f"{title}: {counted(len(clips), unit)}, {', '.join(levels)}; {strides}",
         group_by=group_by or "group",
         grouped=len(groups) > 1,
         groups=[_group_row(row, clips, measures) for row in groups.to_dict("records")],
@@ -84,7 +85,7 @@ def compare_page(
         notes=notes,
         effects=[] if effects is None else [_effect_row(row, measures) for row in effects.to_dict("records")],
         variances=[] if variances is None else [_variance_row(row, measures) for row in variances.to_dict("records")],
-        unit="clip" if effects is None else "run",
+        unit=unit,
         script=script("table", "batch"),
     )
 
@@ -160,7 +161,7 @@ def _effect_row(row: Mapping[Any, Any], measures: Mapping[str, str]) -> dict[str
         "effect": row["effect"],
         "text": _text(value, low, high),
         "counts": counts,
-        "clear": is_difference and (low > 0 or high < 0),
+        "excludes_zero": is_difference and (low > 0 or high < 0),
     }
 
 

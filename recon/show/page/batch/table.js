@@ -31,7 +31,7 @@ if (filter) {
       if (fits) names.add(row.cells[1].dataset.v);
     }
     for (const dot of dots) dot.classList.toggle("faint", !names.has(dot.dataset.clip));
-    shown.textContent = `${names.size} of ${rows.length} clips`;
+    shown.textContent = `${names.size} of ${rows.length} ${filter.dataset.unit ?? "clips"}`;
   };
   text.oninput = choose;
   state.onchange = choose;
