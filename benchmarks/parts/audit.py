@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from markdown_table import percent, print_table
-from recordings import meta_of, recordings
+from recordings import camera_of, meta_of, recordings
 
 from recon import read_pose3d
 from recon.animal.body import opposites
@@ -32,7 +32,6 @@ from recon.check.audit import CONSEQUENCES, LIMITS, measures_of
 from recon.check.audited import AuditedPoints, roles_of
 from recon.check.inputs import step_ratios
 from recon.check.track_checks import jumps_of
-from recon.io.calibration import read_camera
 
 LEAP_S = 0.4
 WINDOW = 100
@@ -54,8 +53,7 @@ class File:
 def view_file(folder: Path, camera: str, fps: float) -> File:
     """Read the keypoints of one camera of a run, with the projections of the 3D truth as the expected positions."""
     points = audit_file(folder / f"{camera}.csv", fps=fps).points
-    scene, pose = folder / "scene.json", read_pose3d(folder / "truth.csv")
-    lens = read_camera(scene, camera) if scene.is_file() else read_camera(folder / f"{camera}.toml")
+    lens, pose = camera_of(folder, camera), read_pose3d(folder / "truth.csv")
     xy_px, is_in_front = lens.project(lens.world_to_camera(pose.xyz_m))
     xy_px[~is_in_front] = np.nan
     expected_px = np.full(points.positions.shape, np.nan)

@@ -24,8 +24,8 @@ import numpy as np
 from arguments import parser_of, runs_or_exit
 from changed_constants import options_with
 from markdown_table import print_table
-from recordings import fit_settings, meta_of
-from trajectory import SKELETON, body_of, prior_of, truth_of
+from recordings import fit_settings, meta_of, truth_at
+from trajectory import SKELETON, body_of, prior_of
 
 from recon import Body
 from recon.animal.measured import detector_toml
@@ -71,10 +71,7 @@ class Run:
 def run_of(folder: Path) -> Run:
     cameras = meta_of(folder)["cameras"]
     given = prepare(fit_settings(folder, cameras))
-    frames, points_m = truth_of(folder)
-    _, here, there = np.intersect1d(given.sources[0].keypoints.frames, frames, return_indices=True)
-    truth_m = np.full((len(given.sources[0].keypoints.frames), *points_m.shape[1:]), np.nan)
-    truth_m[here] = points_m[there]
+    truth_m = truth_at(folder, given.sources[0].keypoints.frames, body_of().markers)
     sources, views = given.sources, views_of(given.sources)
     return Run(folder, dict(zip(cameras, sources, strict=True)), dict(zip(cameras, views, strict=True)), truth_m)
 

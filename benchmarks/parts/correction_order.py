@@ -36,9 +36,9 @@ from pathlib import Path
 import numpy as np
 from arguments import parser_of, runs_or_exit
 from markdown_table import print_header, print_row, print_table
-from recordings import fit_settings, meta_of
+from recordings import fit_settings, meta_of, truth_at
 
-from recon import FitSettings, Motion, fit_clip, read_pose3d
+from recon import FitSettings, Motion, fit_clip
 from recon.api.clip import refit_clip
 from recon.api.clip_inputs import prepare
 from recon.base.arrays import Array
@@ -253,13 +253,10 @@ def clips(runs: Sequence[Path]) -> Iterator[tuple[str, Clip]]:
         meta = meta_of(run)
         first = meta["monocular_camera"]
         second = next(camera for camera in meta["cameras"] if camera != first)
-        truth = read_pose3d(run / "truth.csv")
         for cameras in ((first,), (first, second)):
             settings = fit_settings(run, cameras)
             motion = fit_clip(settings)
-            truth_m = np.full(motion.joints_m.shape, np.nan)
-            _, rows, true_rows = np.intersect1d(motion.frames, truth.frames, return_indices=True)
-            truth_m[rows] = truth.xyz_m[true_rows][:, [truth.names.index(name) for name in motion.names]]
+            truth_m = truth_at(run, motion.frames, motion.names)
             yield f"{run.name}, {' + '.join(map(str, cameras))}", Clip(settings, motion, truth_m)
 
 

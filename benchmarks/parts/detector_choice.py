@@ -24,13 +24,11 @@ from arguments import runs_of
 from cameras import PRIOR, Run, as_seen, run_of, single_view_errors, with_detector
 from markdown_table import print_header, print_row, print_table
 from recordings import fit_settings, meta_of, recordings
-from trajectory import body_of, prior_of, truth_of
+from trajectory import body_of, prior_of
 
-from recon import Body, FitSettings, Pose3D, read_pose3d
+from recon import Body, Pose3D, read_pose3d
 from recon.animal.measured import detector_toml
 from recon.api.clip import fit_clip
-from recon.api.clip_inputs import prepare
-from recon.clip import align_cameras, views_of
 from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.shape import fit_shape
@@ -93,25 +91,6 @@ def detector_of(runs: Sequence[Run], bodies: dict[Run, Body]) -> Body:
     return fit_shape(Shape.of_body(body_of(), lengths=False, offsets=True), clips).seen(body_of())
 
 
-def plate_run(folder: Path) -> Run:
-    """Load a run whose cameras are in separate files."""
-    cameras, given = meta_of(folder)["cameras"], []
-    for number in cameras:
-        one = FitSettings(
-            keypoints=(folder / f"cam{number}.csv",), camera=(folder / f"cam{number}.toml",), fps=meta_of(folder)["fps"]
-        )
-        given.append(prepare(one).sources[0])
-    sources = align_cameras(given, (0.0,) * len(given))
-    frames, points_m = truth_of(folder)
-    own = sources[0].keypoints.frames
-    _, here, there = np.intersect1d(own, frames, return_indices=True)
-    truth_m = np.full((len(own), *points_m.shape[1:]), np.nan)
-    truth_m[here] = points_m[there]
-    each = zip(cameras, sources, views_of(sources), strict=True)
-    by_camera = [(number, source, view) for number, source, view in each]
-    return Run(folder, {n: source for n, source, _ in by_camera}, {n: view for n, _, view in by_camera}, truth_m)
-
-
 def main() -> None:
     known, plates = (runs_of(recordings(kind).resolve()) for kind in ("cheetah-runs", "plate-trials"))
     if not known or not plates:
@@ -124,7 +103,7 @@ def main() -> None:
             without[run.folder].write_text(detector_toml(body, "without a run"), encoding="utf-8")
         print_header(["recordings", "other runs", "MPJPE mean, mm", "views that are worse", "largest increase, mm"])
         measured("cheetah-runs", runs, {run: body_of(run.subject) for run in runs})
-        trials = [plate_run(folder) for folder in plates]
+        trials = [run_of(folder) for folder in plates]
         measured("plate-trials", trials, {run: body_of() for run in trials})
         print_table(HEADER, [cells("cheetah-runs", known, without), cells("plate-trials", plates, {})])
 

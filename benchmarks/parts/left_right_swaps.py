@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 from arguments import parser_of, runs_of
 from markdown_table import print_header, print_row
-from recordings import meta_of, recordings
+from recordings import fit_settings, meta_of, recordings
 from trajectory import GROUPS, PRIOR, body_of, prior_of, view_of
 
 from recon import Camera, FitSettings, Motion, fit_clip, read_keypoints
@@ -185,15 +185,10 @@ def fitted(view: View, case: Case, folder: Path, **more_settings: Any) -> tuple[
     xy_px, changed = case.change(view)
     path = folder / f"cam{view.camera}.csv"
     write_csv(replace(view.file, xy_px=xy_px, fps=None), path)
-    scene, subject = view.run / "scene.json", meta_of(view.run)["subject"]
-    of_scene = {"camera": scene, "camera_name": f"cam{view.camera}"}
-    settings = {
-        "keypoints": path,
-        **(of_scene if scene.is_file() else {"camera": view.run / f"cam{view.camera}.toml"}),
-        "fps": view.file.fps,
-        "subject": subject if subject in builtin_subjects() else None,
-    }
-    return fit_clip(FitSettings(**settings | case.wrong_settings(view) | more_settings)), changed
+    subject = meta_of(view.run)["subject"]
+    known = {"keypoints": path, "subject": subject if subject in builtin_subjects() else None}
+    options = known | case.wrong_settings(view) | more_settings
+    return fit_clip(fit_settings(view.run, (view.camera,), **options)), changed
 
 
 def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:

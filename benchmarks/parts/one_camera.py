@@ -85,7 +85,7 @@ def errors(run: Path, condition: Condition) -> tuple[float, float, float, float]
     tuple
         MPJPE and PA-MPJPE, mm; the relative error of the distance; and the fraction of frames with a pose.
     """
-    _, truth_m = truth_of(run)
+    truth_m = truth_of(run)
     truth_m = truth_m[np.isfinite(truth_m).all(axis=(1, 2))][:: condition.every]
     view, fps = view_of_run(truth_m, condition), meta_of(run)["fps"] / condition.every
     solution = solve_trajectory([view], body_of(), prior_of(PRIOR), fps)

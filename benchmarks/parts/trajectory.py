@@ -28,9 +28,9 @@ import pandas as pd
 from arguments import parser_of, runs_of
 from changed_constants import options_with
 from cheetah_runs import PUBLISHED, view_row
-from recordings import meta_of
+from recordings import camera_of, meta_of, truth_at
 
-from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
+from recon import Body, Camera, load_skeleton, read_keypoints, read_pose3d
 from recon.animal.body import other_side
 from recon.animal.chain import load_chain
 from recon.animal.prior import MotionPrior, load_prior
@@ -141,22 +141,18 @@ def prior_of(name: str) -> MotionPrior:
 
 
 @cache
-def truth_of(run: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return frame numbers (T,), and the true positions (T, J, 3) of the body's markers in the world, metres."""
+def truth_of(run: Path) -> np.ndarray:
+    """Return the true positions (T, J, 3) of the body's markers in all frames of the truth, world, metres."""
     truth = read_pose3d(run / "truth.csv")
-    return truth.frames, truth.xyz_m[:, [truth.names.index(m) for m in body_of().markers]]
+    return truth.xyz_m[:, [truth.names.index(m) for m in body_of().markers]]
 
 
 @cache
 def view_of(run: Path, camera: int) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
     """Return camera, detections (T, J, 2), px, confidence (T, J) and truth (T, J, 3) in the camera's frame, m."""
     keypoints, _ = clean(replace(read_keypoints(run / f"cam{camera}.csv"), fps=meta_of(run)["fps"]), 0.5)
-    keypoints, scene = arrange(keypoints, body_of().markers), run / "scene.json"
-    lens = read_camera(scene, f"cam{camera}") if scene.is_file() else read_camera(run / f"cam{camera}.toml")
-    frames, points_m = truth_of(run)
-    _, here, there = np.intersect1d(keypoints.frames, frames, return_indices=True)
-    truth_m = np.full((*keypoints.xy_px.shape[:2], 3), np.nan)
-    truth_m[here] = lens.world_to_camera(points_m[there])
+    keypoints, lens = arrange(keypoints, body_of().markers), camera_of(run, f"cam{camera}")
+    truth_m = lens.world_to_camera(truth_at(run, keypoints.frames, body_of().markers))
     return lens, keypoints.xy_px, keypoints.confidence, truth_m
 
 
@@ -367,7 +363,7 @@ def size(runs: Sequence[Path]) -> dict[str, Rows]:
     ):
         found = fits(replace(job, subject=own, scale=scale) for job in views(runs))
         bodies = {run: body_of(meta_of(run)["subject"] if own else None, scale) for run in runs}
-        true = {run: solve_points(body, truth_of(run)[1], None)[2] for run, body in bodies.items()}
+        true = {run: solve_points(body, truth_of(run), None)[2] for run, body in bodies.items()}
         for part, some in (("named", [f for f in found if f.named]), ("all", found)):
             off = [(f.size - true[f.job.run]) / f.size_sigma for f in some]
             rows.append(

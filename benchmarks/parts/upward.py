@@ -23,13 +23,12 @@ import numpy as np
 from arguments import runs_of
 from cameras import run_of
 from markdown_table import print_table
-from recordings import meta_of, recordings
+from recordings import recordings
 
-from recon import FitSettings, load_skeleton
-from recon.api.clip_inputs import prepare
+from recon import load_skeleton
 from recon.check import upward
 from recon.check.upward import up_from_feet
-from recon.clip import View, views_of
+from recon.clip import View
 from recon.fit.clip_problem import TrajectoryOptions
 
 BODY, SIGMA_PX = load_skeleton("cheetah-24"), TrajectoryOptions().sigma_px
@@ -43,11 +42,8 @@ def clips() -> Iterator[tuple[str, Sequence[View], float]]:
         for two in combinations(run.views.values(), 2):
             yield "cheetah-runs, two cameras", two, run.fps
     for folder in runs_of(recordings("plate-trials")):
-        about = meta_of(folder)
-        files = [folder / f"cam{c}" for c in about["cameras"]]
-        keypoints, cameras = (tuple(f.with_suffix(ending) for f in files) for ending in (".csv", ".toml"))
-        given = prepare(FitSettings(keypoints=keypoints, camera=cameras, fps=about["fps"]))
-        yield "plate-trials, two cameras", views_of(given.sources), about["fps"]
+        run = run_of(folder)
+        yield "plate-trials, two cameras", [*run.views.values()], run.fps
 
 
 def main() -> None:

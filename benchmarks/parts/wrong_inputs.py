@@ -38,9 +38,9 @@ import numpy as np
 import pandas as pd
 from arguments import parser_of, runs_of
 from markdown_table import print_table
-from recordings import meta_of, recordings
+from recordings import camera_of, meta_of, recordings, truth_at
 
-from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_camera, read_keypoints, read_pose3d
+from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_keypoints
 from recon.animal.body import other_side
 from recon.base.documents import builtin_file
 from recon.clip import Keypoints
@@ -170,9 +170,7 @@ class Clip:
         return np.random.default_rng(sum(map(ord, self.run.name + self.cameras[0])))
 
     def camera(self, name: str) -> Camera:
-        calibration = self.run / "scene.json"
-        camera = read_camera(calibration, name) if calibration.is_file() else read_camera(self.run / f"{name}.toml")
-        return replace(camera, name=name)
+        return replace(camera_of(self.run, name), name=name)
 
     def given(self, name: str) -> Given:
         keypoints = replace(read_keypoints(self.run / f"{name}.csv"), fps=self.meta["fps"])
@@ -664,19 +662,8 @@ def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
     return fit_clip(FitSettings(**settings | own_settings)), given[0]
 
 
-def truth_of(run: Path, motion: Motion, frames: np.ndarray) -> np.ndarray:
-    """Read the true joints (T, J, 3) of a run in some frames, world, metres, NaN if unknown."""
-    pose = read_pose3d(run / "truth.csv")
-    rows = {int(frame): row for row, frame in enumerate(pose.frames)}
-    truth_m = np.full(motion.joints_m.shape, np.nan)
-    for t, frame in enumerate(frames):
-        if int(frame) in rows:
-            truth_m[t] = pose.xyz_m[rows[int(frame)]][[pose.names.index(name) for name in motion.names]]
-    return truth_m
-
-
 def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
-    return truth_of(clip.run, motion, given.frame(motion.frames)) @ given.R.T + given.t
+    return truth_at(clip.run, given.frame(motion.frames), motion.names) @ given.R.T + given.t
 
 
 def errors(off_m: np.ndarray) -> tuple[float, float]:
@@ -691,7 +678,7 @@ def errors_in_camera(seen: Seen, motion: Motion) -> dict[str, float]:
     """Return the errors in the frame of the camera that really saw the keypoints, which is all one camera can show."""
     assert seen.camera.rotation is not None
     assert seen.camera.translation_m is not None
-    truth_m = truth_of(seen.run, motion, motion.frames + seen.later)
+    truth_m = truth_at(seen.run, motion.frames + seen.later, motion.names)
     off_m = motion.joints_camera_m - truth_m @ seen.camera.rotation.T - seen.camera.translation_m
     off_m = off_m[np.isfinite(off_m).all(axis=(1, 2))]
     return dict(zip(("seen pose_mm", "seen position_m"), errors(off_m), strict=True)) if len(off_m) else {}
