@@ -209,7 +209,7 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
 
 
 def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
-    """Refine the poses of two cameras, unless they are known or the refined poses fit no better.
+    """Refine the poses of two cameras, unless they are known, or the refined poses fit no better or the rays worse.
 
     The animal's lengths have to be known roughly, because only lengths can contradict the poses of a pair whose rays
     meet. The search begins at the solution with the poses as calibrated.
@@ -219,11 +219,11 @@ def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
         return fit
     if settings.refine_cameras or not fit.solution.posed.any():  # refined poses were refused, or there is no pose
         return fit
-    from recon.check.refined_poses import pair_is_turned, pair_refined, why_not_refined
+    from recon.check.refined_poses import pair_is_turned, pair_refined, rays_meet_worse, why_not_refined
 
     options = replace(fit.options, refine_cameras=True, refine_first=True, lengths_known=True)
     refined = _solve_near(inputs, fit.solution, fit.sources, options)
-    if not refined.posed.any():
+    if not refined.posed.any() or rays_meet_worse(refined, fit.solution):
         return fit
     is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras) or pair_is_turned(refined)
     # estimated lengths fit more closely than known lengths, and can hide that a camera is turned

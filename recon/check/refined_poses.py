@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from recon.check.codes import finding
+from recon.check.sights import error_ratio_of_pair, sights_of
 from recon.fit import constants
 from recon.fit.result import Finding, TrajectorySolution
 
@@ -67,6 +68,19 @@ def why_not_refined(
     if turns_rad[most_turned] <= better_below_rad and not (fixed_px > BETTER_FACTOR * refined_px).any():
         return (finding("cameras_as_calibrated"),)
     return ()
+
+
+def rays_meet_worse(refined: TrajectorySolution, fixed: TrajectorySolution) -> bool:
+    """Return whether the rays of two cameras meet clearly worse with their refined poses.
+
+    If a camera was turned or moved, its rays meet better with the right pose. If they meet worse, the animal has other
+    proportions than the skeleton, and the fit has turned a camera to explain the pictures.
+    """
+    fixed_ratio, refined_ratio = (
+        error_ratio_of_pair(*sights_of(solution.views, sigma_px=1.0, keypoint_sigma_m=0.0))[0]
+        for solution in (fixed, refined)
+    )
+    return refined_ratio > UNCHANGED_FACTOR * fixed_ratio
 
 
 def pair_is_turned(refined: TrajectorySolution) -> bool:

@@ -13,7 +13,7 @@ from example_run import ASIDE, BODY, FPS, KEYPOINT_M, POSES, late, run_views, tr
 from recon import FitSettings, fit_clip, load_skeleton, read_cameras, write_cameras
 from recon.check.agreement import MAX_FRAMES, agreement_findings, swaps_by_effect
 from recon.check.codes import finding
-from recon.check.refined_poses import why_not_refined
+from recon.check.refined_poses import rays_meet_worse, why_not_refined
 from recon.clip import View
 from recon.fit.result import Finding, TrajectorySolution
 from recon.geometry.frames import euler_rotation, rigid
@@ -234,6 +234,15 @@ def test_refined_poses_that_fit_worse_are_used_only_if_allowed(two_cameras):
     assert reasons([10.0, 10.0]) == ["cameras_not_refined"]
     assert reasons([10.0, 10.0], may_fit_worse=True) == []
     assert reasons([5.0, 100.0], may_fit_worse=True) == ["cameras_not_refined"]
+
+
+@pytest.mark.parametrize("sigma_px", [0.5, 4.0])
+def test_a_turned_camera_makes_rays_meet_worse_and_its_right_pose_better(sigma_px):
+    views = [view_of(truth_m(), T, sigma_px=sigma_px, seed=i) for i, T in enumerate(POSES[:2])]
+    right, wrong = (SimpleNamespace(views=pair) for pair in (views, [views[0], turned(views[1], 0)]))
+    assert rays_meet_worse(wrong, right)  # type: ignore[arg-type]
+    assert not rays_meet_worse(right, wrong)  # type: ignore[arg-type]
+    assert not rays_meet_worse(right, right)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("shift_m", "severity"), [(0.01, "note"), (0.04, "warning")])
