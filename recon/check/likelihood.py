@@ -574,9 +574,10 @@ def _zooms(
 
     # The states that fit best with a small zoom change the cost only to second order.
     nearer, farther = (at(zoom).cost(as_given.states) for zoom in (_SMALL_ZOOM, -_SMALL_ZOOM))
-    direction = 1 if nearer < farther else -1
+    slope = (farther - nearer) / (2 * _SMALL_ZOOM)
+    direction = math.copysign(1.0, slope)
     gained = gain(direction * ZOOM_PER_S)
-    if gained <= 0:  # the most likely zoom is less than half of this one
+    if gained <= 0.5 * abs(slope) * ZOOM_PER_S:  # a parabola with this slope has its maximum at a smaller zoom
         return
     zoom = direction * zoom_of(gained, gain(-direction * ZOOM_PER_S))
     if abs(zoom) < ZOOM_PER_S:
