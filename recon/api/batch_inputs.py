@@ -367,11 +367,20 @@ def is_manifest(path: Path) -> bool:
         header = _header(path) if path.suffix.lower() == ".csv" and os.path.isfile(path) else ()
         return "keypoints" in header or ("camera" in header and recognised(path) is None)
     except (InputError, OSError):  # the fit of the clip reports a file that is not a table, or a failing disk
+        return _begins_with_keypoints(path)
+
+
+def _begins_with_keypoints(path: Path) -> bool:
+    """Return whether the first line has a column `keypoints`, in any encoding, so that the encoding is reported."""
+    try:
+        line = read_head(path, length=1 << 10).replace(b"\0", b"").splitlines()[0]
+    except (InputError, OSError, IndexError):
         return False
+    return b"keypoints" in [cell.strip(b' "\xff\xfe') for cell in re.split(rb"[,;\t]", line.lower())]
 
 
 def _header(path: Path) -> list[str]:
-    return [cell.strip() for cell in next(text_rows(path), (0, []))[1]]
+    return [cell.strip().lower() for cell in next(text_rows(path), (0, []))[1]]
 
 
 def _expected_column(name: str, known: Sequence[str]) -> str:

@@ -453,7 +453,7 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
     InputError
         If the file is not UTF-8, or its text is not a table.
     """
-    expected = "a table of text in UTF-8"
+    expected = "a table of text in UTF-8 (in Excel, save as CSV UTF-8)"
     with damage_as_input_error(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
         header_separator, skipped = table_start(file.readline())
         if not skipped:

@@ -155,6 +155,16 @@ def test_carriage_returns_end_lines_of_manifest_and_keypoints(clips):
     refuses([clips / "long.csv"], ("long.csv", "line 3", 131072))
 
 
+def test_a_manifest_of_a_spreadsheet(clips):
+    """Capitals in a header do not matter, and an encoding other than UTF-8 is named."""
+    (clips / "list.csv").write_text("Keypoints;Frames;Group\na.csv;0:4;x\n")
+    (clip,) = found(clips / "list.csv")
+    assert (clip.settings.keypoints, clip.settings.frames) == ((clips / "a.csv",), "0:4")
+    for encoding in ("utf-16", "cp1252"):
+        (clips / "list.csv").write_text("Keypoints\tFrames\näffchen.csv\t0:4\n", encoding=encoding)
+        refuses([clips / "list.csv"], (clips / "list.csv", "text", "not UTF-8", "in Excel"))
+
+
 def test_common_options_override_the_config(clips, tmp_path):
     config = tmp_path / "settings.toml"
     config.write_text(f'[recon.fit]\nfps = 25\nsigma_px = 5.0\ncamera = "{CAMERA.as_posix()}"\nmethod = "frame"\n')
