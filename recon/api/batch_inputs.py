@@ -318,6 +318,7 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         if unit_missing and isinstance(square, int | float) and square >= MAX_SQUARE_M:
             actual = f"{square:g}, so the calibration is not in metres"
             problems.append(Problem(file or folder, SQUARE, actual, "its unit as well, such as --camera-unit mm"))
+        problems += _crops(config, file or folder) if uses_calibration else []
         row = {"camera": str(calibration)} if uses_calibration else {}
         cam_regex = (file, regex) if file is not None and isinstance(regex, str) else None
         files, file_notes = _files_in(poses)
@@ -350,6 +351,17 @@ def _anipose_config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
             if config.keys() & {"triangulation", "pipeline", "nesting", "model_folder"}:
                 return config, path
     return {}, None
+
+
+def _crops(config: Mapping[str, Any], file: Path) -> list[Problem]:
+    """Return a problem for each camera whose video Anipose's settings state to be cropped, as `offset`."""
+    offsets = {name: _table(_table(config, "cameras"), name).get("offset") for name in _table(config, "cameras")}
+    expected = "keypoints in the whole picture, or --camera with a calibration of the cropped videos"
+    return [
+        Problem(file, f"cameras.{name}.offset", f"{offset}, the corner of a crop, which is not added", expected)
+        for name, offset in offsets.items()
+        if isinstance(offset, list) and any(offset)
+    ]
 
 
 def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:

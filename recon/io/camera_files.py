@@ -423,7 +423,7 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
     record = record_of(document.get("camera_name"), "", document, **stated)
     require_lens(path, document, record)
     require_separate_pose(path, document, record)
-    return [_cropped_to_region(path, document, record)]
+    return [cropped_to_region(path, document, record)]
 
 
 def document_of(path: Path) -> dict[str, Any]:
@@ -457,7 +457,7 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
         raise InputError(Problem(path, record.location + record.called["distortion"], detail, expected))
 
 
-def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
+def cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
     """Return the camera of a picture that ROS has cropped (region of interest) and downsampled (binning).
 
     The file's matrix belongs to the whole picture. As in ROS' image_geometry, the region's corner is subtracted from

@@ -25,6 +25,7 @@ from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord, read_calibration
 from recon.io.camera_files import (
     ALIASES,
+    cropped_to_region,
     document_of,
     has_camera_key,
     has_matrix,
@@ -68,7 +69,7 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
     if outside is not None and all(record.values["rotation"] is None for record in records):
         expected = "R and t of each camera, from world to camera, in its table"
         raise InputError(Problem(path, outside, "poses outside the cameras' tables", expected))
-    return records
+    return [cropped_to_region(path, table, record) for record, (_, _, table) in zip(records, tables, strict=True)]
 
 
 def _has_poses(value: object) -> bool:

@@ -414,6 +414,10 @@ def test_missing_parts_of_anipose_projects_are_reported(tmp_path):
     config = tmp_path / "config.toml"
     in_mm = (config, "board_square_side_length", [25, "not in metres"], "--camera-unit mm")
     refuses([tmp_path], in_mm, common={"fps": 30})
+    whole = config.read_text()
+    config.write_text(f"{whole}\n[cameras.A]\noffset = [0, 0]\n[cameras.B]\noffset = [320, 180]\n")
+    refuses([tmp_path], (config, "cameras.B.offset", "[320, 180]"), common={"fps": 30, "camera_unit": "mm"})
+    config.write_text(whole)
     shutil.rmtree(tmp_path / "calibration")
     none = (tmp_path, "calibration", "none", ["calibration/calibration.toml", "--camera"])
     refuses([tmp_path], none, common={"fps": 30})

@@ -597,6 +597,10 @@ class TestLayoutsOfLabs:
         assert camera.image_size_px == (640, 720)
         expected = [[960.5 / 2, 0, (945.8 - 320) / 2], [0, 968.4, 584.5 - 180], [0, 0, 1]]
         np.testing.assert_allclose(camera.matrix, expected)
+        in_table = "".join(f"  {line}\n" for line in text.splitlines())
+        for camera in read_cameras(write("two.yaml", f"left:\n{in_table}right:\n{in_table}")):
+            assert camera.image_size_px == (640, 720)
+            np.testing.assert_allclose(camera.matrix, expected)
 
     @pytest.mark.parametrize(
         ("name", "text", "found"),
