@@ -24,8 +24,8 @@ CAPTIONS: Mapping[str, str] = {
     "side_view": "Side view of the animal, which runs to the right, at even steps of {steps}; grey: the ground.",
     "joint_flexion": (
         "Joint angles over the stride: flexion from a straight joint, 0 % at the touch-down of the limb's foot. Lines: "
-        "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: "
-        "stance of the foot (for spine and neck: of the foot with the most strides)."
+        "means over strides; shaded, for three strides or more: 90 % of further strides; thin lines: 90 % by the "
+        "uncertainty of the fit; bars: stance of the foot (for spine and neck: of the foot with the most strides)."
     ),
     "footfalls": "Stances of the feet over time.",
     "speed": "Speed of {joint} over time; bands: 90 %.",

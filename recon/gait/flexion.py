@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 from recon.animal.anatomy import GIRDLE, joint_and_side
 from recon.animal.body import Side
@@ -22,6 +23,7 @@ from recon.base.arrays import Array, Brief
 from recon.base.numbers import NORMAL_90
 from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
+from recon.gait.stances import INTERVAL
 
 MODEL_RAD = np.radians(5.0)
 """Standard deviation of a joint angle due to motion that a skeleton of hinges cannot follow, rad.
@@ -32,6 +34,8 @@ PERCENT = np.arange(101.0)
 """Phases of the stride at which mean flexion curves are computed, in percent from one touch-down to the next."""
 MIN_KNOWN_FRACTION = 0.9
 """Minimum fraction of the stride's duration with a pose for a stride to contribute to the mean curve."""
+MIN_STRIDES = 3
+"""Minimum number of strides that show how much strides differ; a band from two strides would be 15 SDs wide."""
 _ROWS_AT_ONCE = 500
 """Number of frames whose derivatives are computed at once, to limit memory."""
 
@@ -72,6 +76,18 @@ class StrideCurve(Brief):
     strides: int
     duty_factor: float
     """Fraction of the stride, from 0 %, for which the foot is in stance."""
+
+    @property
+    def between_reach_rad(self) -> Array:
+        """Return the distance from the mean within which 90 % of further strides lie, shape (101,).
+
+        The distance follows from Student's t, because the standard deviation of a few strides is uncertain itself. It
+        is NaN for fewer than `MIN_STRIDES` strides.
+        """
+        if self.strides < MIN_STRIDES:
+            return np.full(len(PERCENT), np.nan)
+        quantile = stdtrit(self.strides - 1, 0.5 + INTERVAL / 2)
+        return np.asarray(quantile * np.sqrt(1 + 1 / self.strides) * self.between_sigma_rad)
 
 
 @dataclass(frozen=True)

@@ -331,9 +331,12 @@ def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
         texts = {"joint": curve.joint, "side": curve.side or "middle", "foot": curve.foot}
         part = {name: np.full(len(PERCENT), text) for name, text in texts.items()} | {"percent": PERCENT}
         part["flexion_deg"] = np.degrees(curve.mean_rad)
-        bands = {"posterior": curve.posterior_sigma_rad, "between_strides": curve.between_sigma_rad}
-        for name, sigma_rad in bands.items():
-            _, low, high = interval_of(curve.mean_rad, sigma_rad)
+        reach = curve.between_reach_rad
+        bands = {
+            "posterior": interval_of(curve.mean_rad, curve.posterior_sigma_rad)[1:],
+            "between_strides": (curve.mean_rad - reach, curve.mean_rad + reach),
+        }
+        for name, (low, high) in bands.items():
             part |= {f"{name}_low_deg": np.degrees(low), f"{name}_high_deg": np.degrees(high)}
         numbers = {"strides": curve.strides, "duty_factor": curve.duty_factor}
         parts.append(part | {name: np.full(len(PERCENT), number) for name, number in numbers.items()})

@@ -18,7 +18,7 @@ from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.fit.sampling import draws
 from recon.gait.clip import ClipAnalysis
-from recon.gait.flexion import MODEL_RAD, PERCENT, StrideCurve, extreme, joint_flexions
+from recon.gait.flexion import MIN_STRIDES, MODEL_RAD, PERCENT, StrideCurve, extreme, joint_flexions
 from recon.io.positions import read_pose3d
 from recon.show.plots.flexion import joint_flexion as draw
 from recon.show.tables import joint_flexion, joint_flexion_stride, vector_field
@@ -131,6 +131,16 @@ def test_curves_over_the_stride_agree_with_the_gait(fitted, gait):
             assert any(before <= np.argmax(true) + turn <= after for turn in (-100, 0, 100))
 
 
+@pytest.mark.parametrize("count", [3, 6])
+def test_the_band_between_strides_contains_nine_of_ten_further_strides(count):
+    strides = np.random.default_rng(0).normal(size=(count + 1, 20_000))
+    mean, sigma = strides[:-1].mean(axis=0), strides[:-1].std(axis=0, ddof=1)
+    curve = StrideCurve("elbow", "left", "LF", mean, 0 * mean, sigma, count, 0.3)
+    inside = np.abs(strides[-1] - mean) < curve.between_reach_rad
+    assert inside.mean() == pytest.approx(0.9, abs=0.01)
+    assert np.isnan(replace(curve, strides=2).between_reach_rad).all()
+
+
 def test_the_phase_of_a_peak_may_lie_around_touch_down():
     phase = 2 * np.pi * (PERCENT - 2) / 100
     sigma = np.full(101, 0.01)
@@ -168,7 +178,8 @@ def test_tables_have_every_frame_and_every_percent(fitted):
         axis=None
     )
     assert (by_percent["posterior_low_deg"] < by_percent["flexion_deg"]).all()
-    several = by_percent["strides"] > 1
+    several = by_percent["strides"] >= MIN_STRIDES
+    assert 0 < several.mean() < 1
     assert (by_percent["between_strides_low_deg"].isna() == ~several).all()
 
 
@@ -186,7 +197,7 @@ def test_the_figure_names_joints_strides_and_bands(fitted):
     assert titles[:8] == ["shoulder", "elbow", "carpus", "hip", "stifle", "hock", "spine", "neck"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert any(text.startswith("left, ") and text.endswith("strides") for text in legend)
-    assert {"90 % between strides", "90 % from the fit's uncertainty", "bars: stance"} <= {*legend}
+    assert {"90 % of further strides", "90 % from the fit's uncertainty", "bars: stance"} <= {*legend}
     assert not draw(()).axes
 
 

@@ -67,7 +67,7 @@ def test_the_caption_says_n_bands_method_and_citation(whole: ClipAnalysis):
     assert "(a) Joint angles over the stride" in caption
     assert "(b) Speed" in caption
     assert "Gait: transverse gallop (" in caption_of(whole, ("footfalls",))
-    assert "shaded: 90 % between strides" in caption
+    assert "90 % of further strides" in caption
     assert f"n = 1 animal, 1 clip, {len(whole.gait.strides)} complete strides" in caption  # type: ignore[union-attr]
     assert "60 frames at 60 Hz, 1 camera, skeleton cheetah-24" in caption
     assert "Cite: The recon developers" in caption

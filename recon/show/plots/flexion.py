@@ -31,9 +31,9 @@ _BARS = 0.16
 def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
     """Draw the mean flexion of each joint over the stride.
 
-    Left joints are blue and dashed, right joints orange, and middle joints black. Bands contain 90 % of the strides,
-    and thin lines are the 90 % interval of the fit. Bars below the curves show the stance of the limb's foot, from its
-    touch-down at 0 %.
+    Left joints are blue and dashed, right joints orange, and middle joints black. Bands, which need three strides,
+    contain 90 % of further strides, and thin lines are the 90 % interval of the fit. Bars below the curves show the
+    stance of the limb's foot, from its touch-down at 0 %.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]
     columns = COLUMNS if style.page_width_mm() > style.NARROW_MM else NARROW_COLUMNS
@@ -66,8 +66,9 @@ def _draw_curve(axes: Axes, curve: StrideCurve) -> None:
     colour, dashes = style.SIDE_COLOURS[curve.side], (0, (4, 1.2)) if curve.side == "left" else "-"
     mean = np.degrees(curve.mean_rad)
     axes.plot(PERCENT, mean, color=colour, lw=1.3, linestyle=dashes, zorder=3)
-    if curve.strides > 1:
-        style.draw_band(axes, PERCENT, mean, np.degrees(curve.between_sigma_rad), colour, least=-np.inf)
+    reach = np.degrees(curve.between_reach_rad)
+    if np.isfinite(reach).any():
+        axes.fill_between(PERCENT, mean - reach, mean + reach, color=colour, alpha=style.BAND_ALPHA, lw=0)
     if np.isfinite(curve.posterior_sigma_rad).any():
         for end in interval_of(mean, np.degrees(curve.posterior_sigma_rad))[1:]:
             axes.plot(PERCENT, end, color=colour, lw=0.5, zorder=2)
@@ -95,8 +96,8 @@ def _add_legend(figure: Figure, curves: Sequence[StrideCurve]) -> None:
             dashes = (0, (4, 1.2)) if side == "left" else "-"
             text = f"{label}, {strides} stride{'s' * (counts[-1] > 1)}"
             handles.append(Line2D([], [], color=style.SIDE_COLOURS[side], lw=1.3, linestyle=dashes, label=text))
-    if any(curve.strides > 1 for curve in curves):
-        handles.append(Patch(color=style.GREY, alpha=style.BAND_ALPHA, lw=0, label="90 % between strides"))
+    if any(np.isfinite(curve.between_reach_rad).any() for curve in curves):
+        handles.append(Patch(color=style.GREY, alpha=style.BAND_ALPHA, lw=0, label="90 % of further strides"))
     if any(np.isfinite(curve.posterior_sigma_rad).any() for curve in curves):
         handles.append(Line2D([], [], color=style.GREY, lw=0.5, label="90 % from the fit's uncertainty"))
     handles.append(Patch(color=style.GREY, alpha=0.75, lw=0, label="bars: stance"))
