@@ -374,8 +374,8 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     state = cells["status"] if cells["status"] in FIRST_STATUSES else cells["verdict"]
     numbers = dict[str, list[str]]()
     for name, (_, spec) in NUMBERS.items():
-        value, *ends = (float(x) if (x := cells.get(name + end)) else math.nan for end in ("", "_low", "_high"))
-        numbers[name] = _with_interval(value, *ends, spec) if math.isfinite(value) else []
+        value, low, high = (float(x) if (x := cells.get(name + end)) else math.nan for end in ("", "_low", "_high"))
+        numbers[name] = _with_interval(value, low, high, spec) if math.isfinite(value) else []
     mean_px, middle_px = (float(cells.get(name) or 0) for name in ("mean_reprojection_px", "median_px"))
     if has_far_mean := bool(middle_px) and mean_px > FAR_MEAN * middle_px:
         numbers["median_px"] = [*numbers["median_px"], f"mean {mean_px:.0f}"]

@@ -69,9 +69,10 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "", has_caption
         for m, gait in enumerate(gaits.values()):
             row_of_foot = {foot: row - _BAR / 2 + (m + 0.5) * bar_height for row, foot in enumerate(feet)}
             strides = gait.strides if is_fine else ()
-            ends = [[(s.start_s, row_of_foot[s.foot]), (s.end_s, row_of_foot[s.foot])] for s in strides]
-            axes.add_collection(LineCollection(ends, color="k", lw=0.7, zorder=3.5), autolim=False)
-            axes.plot(*np.reshape(ends, (-1, 2)).T, "k|", ms=5, zorder=3.5)
+            points = [(t_s, row_of_foot[s.foot]) for s in strides for t_s in (s.start_s, s.end_s)]
+            ends = np.array(points, dtype=float).reshape(-1, 2, 2)
+            axes.add_collection(LineCollection([*ends], color="k", lw=0.7, zorder=3.5), autolim=False)
+            axes.plot(*ends.reshape(-1, 2).T, "k|", ms=5, zorder=3.5)
             for foot, y in row_of_foot.items():
                 colour = style.foot_colour(foot) if len(gaits) == 1 else style.COLOURS[m % len(style.COLOURS)]
                 _bars(axes, [s for s in gait.stances if s.foot == foot], y, 0.86 * bar_height, colour, m, is_fine)
@@ -122,7 +123,8 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
     )
     # The two lines have different heights, because the intervals of a short stance would overlap.
     offsets = y + height / 4 * np.tile([-1, 1], len(stances))
-    segments = [[(a, row), (b, row)] for (a, b), row in zip(intervals, offsets, strict=True) if np.isfinite(a)]
+    rows = zip(intervals, offsets, strict=True)
+    segments = [np.array([(a, row), (b, row)]) for (a, b), row in rows if np.isfinite(a)]
     axes.add_collection(LineCollection(segments, color="0.35", lw=0.7, zorder=3.2), autolim=False)
 
 
