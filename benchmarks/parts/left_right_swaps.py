@@ -42,7 +42,7 @@ from recon.check import likelihood
 from recon.check.inputs import input_findings
 from recon.check.likelihood import baseline_of
 from recon.check.swap_repair import swap_improves
-from recon.check.swaps import _Stretch, swaps
+from recon.check.swaps import Stretch, swaps
 from recon.clip import Keypoints, Source, clean, views_of
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.result import Finding, TrajectorySolution
@@ -204,12 +204,12 @@ def findings_on_input(motion: Motion) -> list[Finding]:
     return [one for one in motion.findings if one.code in {SWAP, *(case.code for case in CASES.values())}]
 
 
-def stretch_of(motion: Motion, one: Finding) -> _Stretch:
+def stretch_of(motion: Motion, one: Finding) -> Stretch:
     """Return the frames of a finding on a swap, and the permutation of the swapped keypoints."""
     permutation, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.names("keypoints")]
     permutation[to] = _opposites(motion.names, None)[to]
     first, stop = np.searchsorted(motion.frames, one.frames or ())
-    return _Stretch(slice(int(first), int(stop)), permutation)
+    return Stretch(slice(int(first), int(stop)), permutation)
 
 
 def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
@@ -224,10 +224,12 @@ def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> 
     return frames
 
 
-def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
-    """Return whether the reconstruction from all cameras confirms that the detector exchanged the keypoints."""
+def agreed(view: View, sigma_px: np.ndarray, one: Stretch) -> bool:
+    """Return whether the reconstruction from all cameras confirms that the detector exchanged the keypoints.
+
+    `sigma_px` is the standard deviation of each detection in the fit, pixels, shape (T, J).
+    """
     projected, _ = view.lens.project(view.truth_m)
-    sigma_px = motion.solution.noise_px[0]
     q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, one.permutation])]
     return float(np.nansum((np.log1p(q[0] / 3.0) - np.log1p(q[1] / 3.0))[one.rows][:, [*one.markers]])) > 0.0
 
@@ -254,7 +256,7 @@ def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) ->
     wanted = _wanted(motion.names, name) if case.code == SWAP else None
     found, flagged = named(motion, case.code or "", wanted), named(motion, SWAP) | named(motion, OUTLIERS)
     found_swaps = [one for one in motion.findings if one.code == SWAP]
-    real = tuple(one for one in found_swaps if agreed(view, motion, stretch_of(motion, one)))
+    real = tuple(one for one in found_swaps if agreed(view, motion.solution.noise_px[0], stretch_of(motion, one)))
     real = named(replace(motion, findings=real), SWAP)
     scored = others if case.code == OUTLIERS else np.ones(len(changed), dtype=bool)
     mm = {"mm": error_mm(view, motion, scored)}
@@ -368,7 +370,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
         rows, permutation = trial.stretch.rows, trial.stretch.permutation
         xy_px = mended.xy_px.copy()
         wrongly = wrong[-1].copy()
-        wrongly[rows] |= not agreed(mended, motion, trial.stretch)
+        wrongly[rows] |= not agreed(mended, solution.noise_px[0], trial.stretch)
         xy_px[rows] = xy_px[rows][:, permutation]
         mended = replace(mended, file=replace(mended.file, xy_px=xy_px))
         again, _ = fitted(mended, CASES["untouched"], folder)

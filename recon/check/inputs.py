@@ -38,7 +38,8 @@ from recon.check.likelihood import (
 from recon.check.one_step import Step, one_steps
 from recon.check.other_camera import other_camera_finding
 from recon.check.stretch import STRETCH, stretch_finding
-from recon.check.swaps import swap_finding, swaps
+from recon.check.swaps import Swap, swap_finding, swaps
+from recon.check.swaps_between import swaps_between
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out, longest_run
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion, trajectory_solution
@@ -120,14 +121,19 @@ def input_findings(
         assumed = assumed_lens_finding(clip, solution, motion.settings)
         pictures = _other_pictures(motion, clip, named)
         if has_learned_prior and not is_explained:
+            unswapped = ground_clip
+            found: list[list[Swap]] = [[] for _ in motion.sources]
             predictions: Iterable[tuple[Array, Array] | None] = repeat(None, len(motion.sources))
             if len(motion.sources) > 2 and seek_swaps:
-                predictions = predicted_by_others(solution.views, solution.markers_m, [*solution.noise_px])
+                found, views = swaps_between(ground_clip, solution)
+                unswapped = replace(ground_clip, views=views)
+                predictions = predicted_by_others(views, solution.markers_m, [*solution.noise_px])
             for number, (source, predicted) in enumerate(zip(motion.sources, predictions, strict=True)):
                 if number not in pictures:
-                    baseline = baseline_of(ground_clip, number, solution.states, solution.size, predicted)
-                    trials = swaps(baseline, _is_unlike_prior(solution, motion.fps)) if seek_swaps else ()
-                    exchanged += [swap_finding(trial, source, motion.body) for trial in trials]
+                    baseline = baseline_of(unswapped, number, solution.states, solution.size, predicted)
+                    if seek_swaps:
+                        found[number] += swaps(baseline, _is_unlike_prior(solution, motion.fps))
+                    exchanged += [swap_finding(swap, source, motion.body) for swap in found[number]]
                     if len(motion.sources) == 1 and not exchanged:
                         moves = _explain_by_only_view(motion, ground_clip, baseline, moves)
         if possible and has_learned_prior and not (is_explained or pictures):

@@ -15,7 +15,7 @@ chosen.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,7 +58,7 @@ MAX_TRACK_DEVIATION = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Stretch:
+class Stretch:
     """Stretch of frames with a possible left-right swap, and the permutation (J,) of the markers that undoes it."""
 
     rows: slice
@@ -76,7 +76,7 @@ class _Stretch:
         return is_exchanged
 
 
-def with_exchanged(view: View, stretch: _Stretch) -> View:
+def with_exchanged(view: View, stretch: Stretch) -> View:
     """Return the view with left and right keypoints swapped in a stretch of frames."""
     return replace(view, **exchanged_rows(view, stretch.rows, stretch.permutation))
 
@@ -133,14 +133,20 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
 
 
 @dataclass(frozen=True, eq=False)
-class _SwapTrial:
-    """Tested left-right swap: its stretch of frames, the solution with the swap undone, and the log-likelihood gain."""
+class Swap:
+    """Likely left-right swap of a view: its stretch of frames, and the log-likelihood gain from undoing it."""
 
-    stretch: _Stretch
-    refit: Refit
+    stretch: Stretch
     ratio: float
     clear: bool = True
     """Whether no contradicting swap is about as likely."""
+
+
+@dataclass(frozen=True, eq=False)
+class _SwapTrial(Swap):
+    """Left-right swap that was tested by a fit, with the solution after undoing it."""
+
+    refit: Refit = field(kw_only=True)
 
 
 def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
@@ -160,11 +166,11 @@ def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) 
     return bool(is_adjacent) or not likelihood.exceeds_margin(try_undone(undone_baseline, rival.stretch).ratio)
 
 
-def try_undone(baseline: Baseline, stretch: _Stretch) -> _SwapTrial:
+def try_undone(baseline: Baseline, stretch: Stretch) -> _SwapTrial:
     """Swap left and right in a stretch, and solve the second of the clip around the stretch again."""
     part = _part(baseline.view, stretch.rows, baseline.clip.fps)
     refit = likelihood.refit_view(baseline.with_view(with_exchanged(baseline.view, stretch)).part(part))
-    return _SwapTrial(stretch, refit, refit.gain_over(baseline.refit(part)))
+    return _SwapTrial(stretch, refit.gain_over(baseline.refit(part)), refit=refit)
 
 
 def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
@@ -175,7 +181,7 @@ def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
     return Baseline(clip, states, baseline.is_only, baseline.predicted)
 
 
-def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
+def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[Stretch]:
     """Return the stretches for which the jumps of tracks and the appearance give the most evidence of a swap."""
     if not np.isfinite(baseline.states).any():
         return []
@@ -191,17 +197,17 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
     if can_tell_whole and whole > MIN_APPEARANCE_GAIN:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
-    stretches = [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
+    stretches = [Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
     return [stretch for stretch in stretches if not is_refuted(baseline, stretch)]
 
 
-def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
+def is_refuted(baseline: Baseline, stretch: Stretch) -> bool:
     """Return whether other cameras show that left and right are not swapped in a stretch of a view."""
-    gains = np.nan_to_num(_gains_elsewhere(baseline, stretch.permutation))
+    gains = np.nan_to_num(gains_elsewhere(baseline, stretch.permutation))
     return likelihood.exceeds_margin(-float(gains[stretch.rows][:, stretch.markers].sum()))
 
 
-def _gains_elsewhere(baseline: Baseline, permutation: Index) -> Array:
+def gains_elsewhere(baseline: Baseline, permutation: Index) -> Array:
     """Return each keypoint's log-likelihood gain from a permutation (J,), given the other cameras, shape (T, J).
 
     The gain is NaN if the other cameras do not predict both the keypoint and its counterpart within the noise of a
@@ -278,7 +284,7 @@ def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     which the view sees legs, gains that are not known from these cameras are those of `_gains_of_fit`.
     """
     legs, in_legs, permutation = _of_legs(kinds)
-    gains = _gains_elsewhere(baseline, permutation)
+    gains = gains_elsewhere(baseline, permutation)
     is_open = baseline.view.present[:, in_legs].any(axis=1) & np.isnan(gains[:, in_legs]).all(axis=1)
     if is_open.any():
         gains = np.where(np.isnan(gains), _gains_of_fit(baseline, permutation, in_legs), gains)
@@ -307,7 +313,7 @@ def _gains_of_fit(baseline: Baseline, permutation: Index, in_legs: Bools) -> Arr
     """
     seen = baseline.view.xy_px
     projected, sigma_px = likelihood.project_either_side(
-        baseline, with_exchanged(baseline.view, _Stretch(slice(None), permutation)), in_legs
+        baseline, with_exchanged(baseline.view, Stretch(slice(None), permutation)), in_legs
     )
     given_cost, exchanged_cost = (
         likelihood.log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, permutation])
@@ -353,13 +359,13 @@ PARTS = {"all": "all keypoints", "fore": "the fore legs", "hind": "the hind legs
 """Words for the parts of the animal that are swapped, with the kinds of swaps as keys."""
 
 
-def swap_finding(trial: _SwapTrial, source: Source, body: Body) -> Finding:
+def swap_finding(swap: Swap, source: Source, body: Body) -> Finding:
     """Return the finding on a swap, or on a possible swap, in the keypoints of a camera."""
-    stretch, numbers = trial.stretch, source.keypoints.frames
+    stretch, numbers = swap.stretch, source.keypoints.frames
     frames = int(numbers[stretch.rows.start]), int(numbers[stretch.rows.stop - 1]) + 1
     part = next(
         PARTS[name] for name, permutation in pairs_of(body).items() if np.array_equal(permutation, stretch.permutation)
     )
     names = tuple(source.keypoints.names[j] for j in stretch.markers)
-    code = "left_right_swap" if trial.clear else "left_right_swap_possible"
-    return finding(code, frames, source.camera.name, part=part, keypoints=names, log_likelihood_ratio=trial.ratio)
+    code = "left_right_swap" if swap.clear else "left_right_swap_possible"
+    return finding(code, frames, source.camera.name, part=part, keypoints=names, log_likelihood_ratio=swap.ratio)

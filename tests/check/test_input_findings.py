@@ -34,7 +34,7 @@ from recon.check.likelihood import (
 )
 from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
 from recon.check.swaps import (
-    _Stretch,
+    Stretch,
     _SwapTrial,
     contradicts,
     is_refuted,
@@ -92,8 +92,8 @@ def moved(xy_px: np.ndarray) -> View:
     return replace(view(), xy_px=xy_px)
 
 
-def stretch(kind: str, first: int, stop: int) -> _Stretch:
-    return _Stretch(slice(first, stop), pairs_of(BODY)[kind])
+def stretch(kind: str, first: int, stop: int) -> Stretch:
+    return Stretch(slice(first, stop), pairs_of(BODY)[kind])
 
 
 @cache
@@ -168,7 +168,7 @@ def test_swapped_sides_are_found(kind, first, stop):
 @pytest.mark.slow
 def test_an_unclear_swap_is_only_a_possible_swap():
     assert swaps(fitted(exchanged("hind", 17, 20))) == []
-    trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), REPORTED_GAIN + 10.0)
+    trial = _SwapTrial(stretch("hind", 14, 24), REPORTED_GAIN + 10.0, refit=Refit(plain().states, 0.0, 0.0))
     (source,) = motion_of(plain()).sources
     unclear = swap_finding(replace(trial, clear=False), source, BODY)
     assert (unclear.code, unclear.frames) == ("left_right_swap_possible", (114, 124))
@@ -179,7 +179,7 @@ def test_an_unclear_swap_is_only_a_possible_swap():
 
 def test_a_clip_that_only_looks_swapped_is_a_possible_swap(monkeypatch):
     refit = Refit(plain().states, 0.0, 0.0)
-    monkeypatch.setattr("recon.check.swaps.try_undone", lambda given, one: _SwapTrial(one, refit, -20.0))
+    monkeypatch.setattr("recon.check.swaps.try_undone", lambda given, one: _SwapTrial(one, -20.0, refit=refit))
     (found,) = swaps(fitted(exchanged("all", 0, T)))
     assert (found.clear, found.stretch.rows) == (False, slice(0, T))
     assert swaps(fitted(view())) == []
@@ -250,7 +250,7 @@ def test_weak_evidence_for_a_whole_clip_is_a_possible_swap(monkeypatch, kind, ro
     proposed, refit = iter([[stretch(kind, *rows)]]), Refit(plain().states, 0.0, 0.0)
     module = sys.modules[swaps.__module__]
     monkeypatch.setattr(module, "propose_stretches", lambda *args: next(proposed, []))
-    monkeypatch.setattr(module, "try_undone", lambda given, stretch: _SwapTrial(stretch, refit, ratio))
+    monkeypatch.setattr(module, "try_undone", lambda given, stretch: _SwapTrial(stretch, ratio, refit=refit))
     monkeypatch.setattr(module, "with_undone", lambda given, trial: given)
     (source,) = motion_of(plain()).sources
     found = [swap_finding(trial, source, BODY) for trial in swaps(given(view()))]
