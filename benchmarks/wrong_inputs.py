@@ -26,6 +26,7 @@ PARTS = {
     "ranking": Part("correction_order.py", quick=["--quick"], data="cheetah-runs"),
     "swaps": Part("left_right_swaps.py", data="cheetah-runs"),
     "swap-folds": Part("left_right_swaps.py", ["--folds"], data="cheetah-runs"),
+    "swaps-several": Part("swaps_of_several.py", data="cheetah-runs"),
     "swaps-others": Part("left_right_swaps.py", ["--others"], data="dog-mocap"),
 }
 

@@ -50,6 +50,8 @@ CASES: dict[str, tuple[str | None, float | int]] = {
 }
 """Exchanged keypoints (a key of `trajectory.GROUPS`, or None for all), and a number of frames in the middle of the clip
 or a fraction of the clip at its end."""
+FIT = ["run", "cameras", "case"]
+"""Columns that are the same in all rows of a fit."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ def rows_of(clip: Clip) -> Iterator[dict[str, Any]]:
         motion = fit_clip(settings_of(clip, Path(folder)))
     row = {"run": clip.run.name, "cameras": " ".join(map(str, clip.cameras)), "count": len(clip.cameras)}
     row |= {"case": clip.case, "checks_s": motion.solution.stage_s["input_findings"]}
-    row |= {"solve_s": motion.solution.stage_s["all"], "code": ""}
+    row |= {"solve_s": motion.solution.stage_s["all"], "code": "", "planted": False, "confirmed": False}
     swaps = [found for found in motion.findings if found.code in (SWAP, UNCLEAR)]
     names = [source.camera.name for source in motion.sources]
     views = [as_fitted(clip, number) for number in range(len(names))]
@@ -157,31 +159,30 @@ def print_counts(table: pd.DataFrame, by: str) -> None:
     head = [by, "fits", "planted swap named", "or as possible", "other swaps: confirmed", "false"]
     counted = []
     for name, rows in table.groupby(by, sort=False):
-        planted = rows[rows["case"] != "nothing"]
-        fits, of_fit = len(planted.groupby(["run", "cameras", "case"])), ["run", "cameras", "case"]
+        found, planted = rows[rows["code"] != ""], rows["case"] != "nothing"
         named = [
-            len(planted[(planted["planted"] == True) & planted["code"].isin(codes)].groupby(of_fit))  # noqa: E712
+            len(found[found["planted"] & found["code"].isin(codes)].groupby(FIT))
             for codes in ((SWAP,), (SWAP, UNCLEAR))
         ]
-        others = [rows[(rows["planted"] == False) & (rows["confirmed"] == is_so)] for is_so in (True, False)]  # noqa: E712
-        said = [f"{(one['code'] == SWAP).sum()}, possible {(one['code'] == UNCLEAR).sum()}" for one in others]
-        counted.append([name, len(rows.groupby(of_fit)), f"{named[0]} of {fits}", named[1], *said])
+        others = [found[~found["planted"] & (found["confirmed"] == is_confirmed)] for is_confirmed in (True, False)]
+        counts = [f"{(one['code'] == SWAP).sum()}, possible {(one['code'] == UNCLEAR).sum()}" for one in others]
+        fits = len(rows[planted].groupby(FIT))
+        counted.append([name, len(rows.groupby(FIT)), f"{named[0]} of {fits}", named[1], *counts])
     print_table(head, counted)
 
 
 def print_recorded(table: pd.DataFrame) -> None:
-    """Print the swaps that findings on the clips as recorded name, with the number of clips."""
-    fits = table.drop_duplicates(["run", "cameras", "case"])
-    of_case = {is_so: table[(table["case"] == "nothing") == is_so] for is_so in (True, False)}
-    found = of_case[True][of_case[True]["code"] != ""]
-    rows = []
-    for (run, camera, part), here in found.groupby(["run", "camera", "part"]):
-        holds = fits["cameras"].str.split().map(lambda of, camera=camera: camera.removeprefix("cam") in of)
-        clips = fits[(fits["run"] == run) & holds & (fits["case"] == "nothing")]
-        frames = ", ".join(sorted(here["frames"].unique()))
-        verdict = f"{here['confirmed'].sum()} of {len(here)}"
-        codes = [len(here[here["code"] == code].groupby("cameras")) for code in (SWAP, UNCLEAR)]
-        rows.append([run, camera, part, frames, f"{codes[0]} of {len(clips)}", codes[1], verdict])
+    """Print the swaps that findings on the clips as recorded name, and in how many of the clips with that camera."""
+    recorded_clips = table[table["case"] == "nothing"]
+    found, rows = recorded_clips[recorded_clips["code"] != ""], []
+    for (run, camera, part), swaps in found.groupby(["run", "camera", "part"]):
+        of_run = recorded_clips[recorded_clips["run"] == run].drop_duplicates(FIT)
+        clips = sum(camera.removeprefix("cam") in cameras.split() for cameras in of_run["cameras"])
+        named = [len(swaps[swaps["code"] == code].groupby(FIT)) for code in (SWAP, UNCLEAR)]
+        confirmed = f"{swaps['confirmed'].sum()} of {len(swaps)}"
+        rows.append(
+            [run, camera, part, ", ".join(sorted(set(swaps["frames"]))), f"{named[0]} of {clips}", named[1], confirmed]
+        )
     print_table(["run", "camera", "keypoints", "frames", "named", "named as possible", "confirmed"], rows)
 
 

@@ -4,7 +4,8 @@ A fit follows exchanged keypoints, so its residuals do not reveal a swap. Candid
 by two cheap signs. First, the keypoints of both sides jump at the same time at the beginning and the end of a swap,
 unless the legs cross there. Second, what two or more other cameras see shows which side is more likely in each frame.
 Where there are no such cameras, a fit in which each keypoint of a leg may belong to either side shows it. Stretches are
-left out if two or more other cameras confirm the sides as given.
+left out if two or more other cameras confirm the sides as given. Swaps that the other cameras clearly show need none of
+this and are undone before (`recon.check.swaps_between`).
 
 The sides are then exchanged in each of the most likely stretches, and one second of the clip around the stretch is
 solved again. A stretch is a swap if the clip becomes clearly more likely (`exceeds_margin`), also compared with
