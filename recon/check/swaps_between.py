@@ -1,21 +1,20 @@
 """Detect left-right swaps of a camera by what two or more other cameras see.
 
 The other cameras predict where a camera sees the keypoints of both sides (`predicted_by_others`). Each frame then has a
-log-likelihood gain from exchanging left and right, and a stretch of frames with a clear gain is a swap. No fit is
+log-likelihood gain from exchanging left and right. A stretch of frames with a clear gain is a swap, and no fit is
 needed. A swap in one camera also spoils the predictions for the other cameras, so the clearest swap is undone first,
 and the others are predicted again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from recon.base.arrays import Array
 from recon.check.likelihood import CERTAIN_GAIN, baseline_of
-from recon.check.swaps import Stretch, Swap, gains_elsewhere, pairs_of, with_exchanged
+from recon.check.swaps import Stretch, Swap, gains_elsewhere, jumps, pairs_of, with_exchanged
 from recon.clip import View
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import TrajectorySolution
@@ -50,38 +49,58 @@ def swaps_between(clip: ClipProblem, solution: TrajectorySolution) -> tuple[list
 
 
 def _candidates(clip: ClipProblem, solution: TrajectorySolution) -> list[tuple[int, Swap]]:
-    """Return each possible swap of each view, with the index of the view."""
-    kinds = pairs_of(clip.body)
-    masks = np.array([permutation != np.arange(len(permutation)) for permutation in kinds.values()])
-    found = []
+    """Return each possible swap of each view, with the index of the view.
+
+    What the other cameras see must be clear on its own. The jumps of the tracks only move the ends of a swap, and tell
+    all keypoints from one pair of legs.
+    """
+    kinds, found = pairs_of(clip.body), []
     for number, predicted in enumerate(predicted_by_others(clip.views, solution.markers_m, [*solution.noise_px])):
         baseline = baseline_of(clip, number, solution.states, solution.size, predicted)
-        gains = np.nan_to_num(gains_elsewhere(baseline, kinds["all"])) @ masks.T
-        for permutation, gain in zip(kinds.values(), gains.T, strict=True):
-            for first, stop in gaining_stretches(gain, CERTAIN_GAIN):
+        gains = np.nan_to_num(gains_elsewhere(baseline, kinds["all"]))
+        for permutation in kinds.values():
+            gain = gains[:, permutation != np.arange(len(permutation))].sum(axis=1)
+            at_ends = np.append(jumps(baseline.view, permutation), 0.0)
+            at_ends[0] = 0.0
+            at_ends[~np.isfinite(at_ends)] = 0.0  # frames without detections show no jump
+            for first, stop in gaining_stretches(gain, at_ends, CERTAIN_GAIN):
                 ratio = float(gain[first:stop].sum())
-                found.append((number, Swap(Stretch(slice(first, stop), permutation), ratio)))
+                if ratio > CERTAIN_GAIN:
+                    ratio += float(at_ends[first] + at_ends[stop])
+                    found.append((number, Swap(Stretch(slice(first, stop), permutation), ratio)))
     return found
 
 
-def gaining_stretches(gain: Array | Sequence[float], least: float) -> list[tuple[int, int]]:
-    """Return the stretches of frames that maximise the sum of the gains (T,), less `least` for each stretch.
+def gaining_stretches(gain: Array, at_ends: Array, least: float) -> list[tuple[int, int]]:
+    """Return the stretches of frames that maximise the sum of their gains, less `least` for each stretch.
 
-    Each stretch is a pair of the first frame and the frame after the last.
+    Parameters
+    ----------
+    gain
+        Gain of each frame in a stretch, shape (T,).
+    at_ends
+        Gain of a stretch that begins at a frame or ends before it, shape (T + 1,).
+    least
+        Smallest gain of a stretch.
+
+    Returns
+    -------
+    list of (int, int)
+        First frame of each stretch, and the frame after its last.
     """
-    # Two sums are kept for each frame: the largest one outside and inside a stretch. Both ends cost half of `least`.
+    # The best sums up to a frame are kept for two cases: the frame is outside a stretch, or inside. Both ends of a
+    # stretch cost half of `least`.
     outside, inside, begins, ends = 0.0, -np.inf, [], []
-    for value in gain:
-        begins.append(outside - least / 2 > inside)
-        inside = max(inside, outside - least / 2) + value
-        ends.append(inside - least / 2 > outside)
-        outside = max(outside, inside - least / 2)
-    stretches, t = [], len(ends)
-    while t > 0:
-        t -= 1
-        if ends[t]:
-            stop = t + 1
-            while not begins[t]:
-                t -= 1
+    for value, at_end in zip(gain, at_ends[:-1] - least / 2, strict=True):
+        begins.append(outside + at_end > inside)
+        ends.append(inside + at_end > outside)
+        outside, inside = max(outside, inside + at_end), max(inside, outside + at_end) + value
+    stretches, stop = [], len(gain)
+    is_inside = inside + at_ends[-1] - least / 2 > outside
+    for t in reversed(range(len(gain))):
+        if is_inside and begins[t]:
             stretches.append((t, stop))
+            is_inside = False
+        elif not is_inside and ends[t]:
+            stop, is_inside = t, True
     return stretches[::-1]

@@ -72,15 +72,21 @@ def test_frames_that_only_one_other_camera_sees_decide_nothing():
 def test_gaining_stretches_have_the_largest_sum():
     """All sets of stretches of short clips are compared."""
     rng = np.random.default_rng(0)
+    # No stretch begins where another one ends.
+    sets = [[*zip(ends[::2], ends[1::2], strict=True)] for n in (0, 2, 4, 6) for ends in combinations(range(7), n)]
+    for gain, at_ends in zip(rng.normal(0, 3, (30, 6)), rng.normal(0, 1, (30, 7)), strict=True):
 
-    def total(gain: np.ndarray, of: list[tuple[int, int]]) -> float:
-        return sum(gain[first:stop].sum() - 3.0 for first, stop in of)
+        def total(stretches: list[tuple[int, int]], gain=gain, at_ends=at_ends) -> float:
+            return sum(gain[first:stop].sum() + at_ends[first] + at_ends[stop] - 3.0 for first, stop in stretches)
 
-    for gain in rng.normal(0, 3, (30, 6)):
-        sets = [[*zip(ends[::2], ends[1::2], strict=True)] for n in (0, 2, 4, 6) for ends in combinations(range(7), n)]
-        best = max(total(gain, of) for of in sets)
-        found = gaining_stretches(gain, 3.0)
-        assert total(gain, found) == np.float64(best) or np.isclose(total(gain, found), best)
-        assert all(gain[first:stop].sum() > 3.0 for first, stop in found)
-    assert gaining_stretches(np.array([9.0, 9.0, -1.0, 9.0, -20.0, 9.0]), 3.0) == [(0, 4), (5, 6)]
-    assert gaining_stretches(np.array([]), 3.0) == []
+        found = gaining_stretches(gain, at_ends, 3.0)
+        np.testing.assert_allclose(total(found), max(total(stretches) for stretches in sets))
+    nothing = np.zeros(7)
+    assert gaining_stretches(np.array([9.0, 9.0, -1.0, 9.0, -20.0, 9.0]), nothing, 3.0) == [(0, 4), (5, 6)]
+    assert gaining_stretches(np.array([]), np.zeros(1), 3.0) == []
+
+
+def test_a_swap_ends_where_the_tracks_jump():
+    gain, at_ends = np.array([1.0, 20.0, 20.0, 1.0, 1.0]), np.array([0.0, 9.0, -9.0, -9.0, 9.0, 0.0])
+    assert gaining_stretches(gain, at_ends, 30.0) == [(1, 4)]
+    assert gaining_stretches(gain, 0 * at_ends, 30.0) == [(0, 5)]
