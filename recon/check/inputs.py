@@ -122,18 +122,18 @@ def input_findings(
         pictures = _other_pictures(motion, clip, named)
         if has_learned_prior and not is_explained:
             unswapped = ground_clip
-            found: list[list[Swap]] = [[] for _ in motion.sources]
+            swaps_of_views: list[list[Swap]] = [[] for _ in motion.sources]
             predictions: Iterable[tuple[Array, Array] | None] = repeat(None, len(motion.sources))
             if len(motion.sources) > 2 and seek_swaps:
-                found, views = swaps_between(ground_clip, solution)
+                swaps_of_views, views = swaps_between(ground_clip, solution)
                 unswapped = replace(ground_clip, views=views)
                 predictions = predicted_by_others(views, solution.markers_m, [*solution.noise_px])
             for number, (source, predicted) in enumerate(zip(motion.sources, predictions, strict=True)):
                 if number not in pictures:
                     baseline = baseline_of(unswapped, number, solution.states, solution.size, predicted)
                     if seek_swaps:
-                        found[number] += swaps(baseline, _is_unlike_prior(solution, motion.fps))
-                    exchanged += [swap_finding(swap, source, motion.body) for swap in found[number]]
+                        swaps_of_views[number] += swaps(baseline, _is_unlike_prior(solution, motion.fps))
+                    exchanged += [swap_finding(swap, source, motion.body) for swap in swaps_of_views[number]]
                     if len(motion.sources) == 1 and not exchanged:
                         moves = _explain_by_only_view(motion, ground_clip, baseline, moves)
         if possible and has_learned_prior and not (is_explained or pictures):

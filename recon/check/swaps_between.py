@@ -32,20 +32,22 @@ def swaps_between(clip: ClipProblem, solution: TrajectorySolution) -> tuple[list
         The solution of all views.
     """
     kinds, views = pairs_of(clip.body), [*clip.views]
-    found: list[list[Swap]] = [[] for _ in views]
+    swaps_of_views: list[list[Swap]] = [[] for _ in views]
     for _ in range(len(views) * len(kinds)):
-        candidates = sorted(_candidates(replace(clip, views=tuple(views)), solution), key=lambda one: -one[1].ratio)
+        candidates = sorted(
+            _candidates(replace(clip, views=tuple(views)), solution), key=lambda candidate: -candidate[1].ratio
+        )
         taken = np.zeros(len(solution.states), dtype=bool)
         for number, swap in candidates:
             rows = swap.stretch.rows
             if not taken[rows].any():
-                # what overlaps a clearer swap may follow from this swap: it is judged again without it
-                found[number].append(swap)
+                # A candidate that overlaps a clearer swap may be a consequence of it, and is judged again without it.
+                swaps_of_views[number].append(swap)
                 views[number] = with_exchanged(views[number], swap.stretch)
             taken[rows] = True
         if not candidates:
             break
-    return found, tuple(views)
+    return swaps_of_views, tuple(views)
 
 
 def _candidates(clip: ClipProblem, solution: TrajectorySolution) -> list[tuple[int, Swap]]:
@@ -54,7 +56,7 @@ def _candidates(clip: ClipProblem, solution: TrajectorySolution) -> list[tuple[i
     What the other cameras see must be clear on its own. The jumps of the tracks only move the ends of a swap, and tell
     all keypoints from one pair of legs.
     """
-    kinds, found = pairs_of(clip.body), []
+    kinds, candidates = pairs_of(clip.body), []
     for number, predicted in enumerate(predicted_by_others(clip.views, solution.markers_m, [*solution.noise_px])):
         baseline = baseline_of(clip, number, solution.states, solution.size, predicted)
         gains = np.nan_to_num(gains_elsewhere(baseline, kinds["all"]))
@@ -67,8 +69,8 @@ def _candidates(clip: ClipProblem, solution: TrajectorySolution) -> list[tuple[i
                 ratio = float(gain[first:stop].sum())
                 if ratio > CERTAIN_GAIN:
                     ratio += float(at_ends[first] + at_ends[stop])
-                    found.append((number, Swap(Stretch(slice(first, stop), permutation), ratio)))
-    return found
+                    candidates.append((number, Swap(Stretch(slice(first, stop), permutation), ratio)))
+    return candidates
 
 
 def gaining_stretches(gain: Array, at_ends: Array, least: float) -> list[tuple[int, int]]:
