@@ -136,8 +136,8 @@ def feet_remarks(body: Body) -> Iterator[str]:
     for segment in dict.fromkeys(segment_of[foot] for foot in body.feet):
         if len(feet := [foot for foot in body.feet if segment_of[foot] == segment]) > 1:
             yield (
-                f"feet: {' and '.join(feet)} are on one segment, {segment}, and cannot move relative to each other. "
-                "Draft the skeleton from a clip in which the animal walks."
+                f"feet: {', '.join(feet[:-1])} and {feet[-1]} are on one segment, {segment}, and cannot move relative "
+                "to each other. Draft the skeleton from a clip in which the animal walks."
             )
     for label, foot in body.feet_by_label().items():
         is_ahead = (point_m[foot] - (rear + front) / 2) @ (front - rear) > 0
