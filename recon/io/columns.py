@@ -326,9 +326,6 @@ def points_of_columns(
     if "z" in coords and "bodypart" not in role:
         flat = [bodypart for bodypart in index if (bodypart, "z") not in columns]
         cells.problems += [Problem(path, f"bodypart {bodypart}", "no z", ", ".join(coords)) for bodypart in flat]
-    if "z" not in coords and layout.unit not in (None, "px"):
-        expected = "pixels of the picture (x, y), or a column z of 3D positions"
-        cells.problems.append(Problem(path, "columns", f"2D positions in {layout.unit}", expected))
     cells.raise_problems()
     left_out = layout.ignored if column_map is None else ()
     notes = (f"Columns left out: {', '.join(left_out)}.",) if left_out else ()

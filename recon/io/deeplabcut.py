@@ -283,12 +283,13 @@ def _without_extra(columns: Sequence[Column]) -> tuple[list[int], tuple[str, ...
     """Return the indices of the columns to read, and a note on the others.
 
     Columns of further values of a point, such as the variances that an ensemble Kalman smoother writes, are left out if
-    the point has a position and a likelihood.
+    the point has a position and a likelihood, or a position in space.
     """
     coords: dict[tuple[str, str], set[str]] = {}
     for animal, bodypart, coord in columns:
         coords.setdefault((animal, bodypart), set()).add(coord)
-    kept = [j for j, (a, b, c) in enumerate(columns) if c in COORDS or not coords[a, b] >= {*COORDS_2D}]
+    whole = {point for point, present in coords.items() if present >= {*COORDS_2D} or present >= {*"xyz"}}
+    kept = [j for j, (animal, bodypart, c) in enumerate(columns) if c in COORDS or (animal, bodypart) not in whole]
     extra = dict.fromkeys(columns[j][2] for j in range(len(columns)) if j not in {*kept})
     return kept, (f"Columns left out: {', '.join(extra)}.",) if extra else ()
 

@@ -463,6 +463,9 @@ def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredP
         raise InputError(Problem(path, "coords", "3D positions (x, y, z)", "2D keypoints in pixels (x, y)"))
     if stored is None or (kind == "3D" and not stored.in_space):
         raise InputError(Problem(path, "coords", f"no z ({reader.title})", "3D positions (x, y, z)"))
+    if stored is not None and not stored.in_space and stored.unit is not None:
+        expected = "pixels of the picture (x, y), or a column z of 3D positions"
+        raise InputError(Problem(path, "columns", f"2D positions in {stored.unit}", expected))
     return stored
 
 
@@ -524,10 +527,11 @@ _UNREAD = (
     ),
     (b"<?xml", "an XML file", None),
     (b"%PDF", "a PDF", None),
+    (b"\x93NUMPY", "an array of NumPy, without names of points", "a table, or an NPZ with names, xyz_m and frames"),
     (b"PK\x03\x04", "a ZIP archive, or a document of Office", "CSV: save the table as CSV"),
 )
 """First bytes of files that recon cannot read, with a description and, if known, what to export instead."""
-_UNREAD_MARKUP = (
+_UNREAD_TEXTS = (
     (rb'\s*\[\s*\{\s*"bodyparts"', "DeepLabCut's JSON of predictions", "its table of the same video: .h5 or .csv"),
     (
         rb'\s*\[\s*\{\s*"(frame_id|instances|keypoints)"',
@@ -540,12 +544,17 @@ _UNREAD_MARKUP = (
         "a CSV with the columns frame, bodypart, x, y, in pixels",
     ),
     (
+        rb"(?P<point>[^,\n]+)(,(?P=point)){2,3},",
+        "a table whose header begins with points, as JARVIS writes",
+        "a first column with bodyparts, coords and frame numbers",
+    ),
+    (
         rb"\s*<\?xml[^>]*>\s*<annotations>",
         "CVAT's XML",
         "COCO: in CVAT, export the task as COCO Keypoints",
     ),
 )
-"""Beginnings of JSON and XML that recon cannot read, each with a description, and what to give instead."""
+"""Beginnings of texts that recon cannot read, each with a description, and what to give instead."""
 _SLEAP_PROJECT = {"metadata", "frames"}
 _SLEAP_EXPORT = "SLEAP's analysis HDF5: in SLEAP, File > Export Analysis HDF5, or sleap-convert --format analysis"
 
@@ -568,9 +577,11 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
         if outline(path) >= _SLEAP_PROJECT:
             return "a SLEAP project", _SLEAP_EXPORT
         return "an HDF5 file in an unknown layout", expected
-    for pattern, name, instead in _UNREAD_MARKUP:
+    for pattern, name, instead in _UNREAD_TEXTS:
         if re.match(pattern, head.removeprefix(b"\xef\xbb\xbf")):
             return name, instead
+    if path.suffix.lower() == ".npz":
+        return "an archive of NumPy with other arrays", "a table, or an NPZ with names, xyz_m and frames"
     for start, name, instead in _UNREAD:
         if head.removeprefix(b"\xef\xbb\xbf").startswith(start):
             return name, instead or expected

@@ -225,6 +225,9 @@ def test_further_values_of_a_point_are_left_out(tmp_path):
     assert (found.names, found.xy_px.tolist()) == (("nose", "tail"), [[[10, 11], [15, 16]]])
     assert found.confidence.tolist() == [[0.5, 0.5]]
     assert found.notes == ("Columns left out: x_ens_median, y_posterior_var.",)
+    in_space = "bodyparts,nose,nose,nose,nose\ncoords,x,y,z,confidence\n0,1,2,3,0.5\n"
+    pose = read_pose3d(save(tmp_path / "b.csv", in_space), unit="m", up="z")
+    assert (pose.xyz_m.tolist(), pose.notes) == ([[[1, 2, 3]]], ("Columns left out: confidence.",))
     # without a likelihood, an unknown coordinate may be a likelihood under another name
     path.write_text(path.read_text().replace("likelihood", "likely"))
     refuses(path, ("column nose/likely", "coordinate 'likely'"), *[("column nose/" + c, c) for c in coords[3:]])
@@ -408,6 +411,11 @@ def test_alphapose(tmp_path):
         (b'[{"frame_id": 0, "instances": []}]', ("MMPose's predictions without names", "meta_info")),
         (b'[{"id": 4, "annotations": []}]', ("Label Studio", "in pixels")),
         (b'<?xml version="1.0" encoding="utf-8"?>\n<annotations>', ("CVAT", "COCO Keypoints")),
+        (
+            b"nose,nose,nose,nose,tail,tail,tail,tail\nx,y,z,confidence,x,y,z,confidence\n",
+            ("JARVIS", "bodyparts, coords"),
+        ),
+        (b"\x93NUMPY\x01\x00v\x00{'descr'", ("NumPy", "names, xyz_m")),
         (b"Bild;Punkt;x;y\n1;nose;2;3\n", ("begins with 'Bild", "DeepLabCut CSV")),
     ],
 )
