@@ -41,7 +41,8 @@ PARTS = {
     ),
     "extrinsics": Part("extrinsics.py", data="cheetah-runs"),
     "upward": Part("upward.py", data="cheetah-runs"),
-    "agreement": Part("agreement.py", data="cheetah-runs"),
+    "agreement": Part("agreement.py", ["--only", "named"], data="cheetah-runs"),
+    "wrong-camera": Part("agreement.py", ["--only", "effects"], data="cheetah-runs"),
     "boards": Part("calibration.py", quick=[]),
 }
 

@@ -1,12 +1,16 @@
 """Test whether the findings name a camera that contradicts the others of its clip, and no other camera.
 
-    python benchmarks/parts/agreement.py [FOLDER]
+    python benchmarks/parts/agreement.py [FOLDER] [--only named effects]
 
 FOLDER has one folder for each run, as in `cheetah_runs.py`; by default it is the cheetah-runs of $RECON_SHARED_DATA, or
 of ../shared/data. Each unchanged run is checked first, so that every camera is compared with the others. Then one of
 its cameras is turned by 5 degrees about each of its axes, or shifted in time by 10 frames, or the files of two cameras
 are exchanged, for every camera and every pair. A case counts as correct if the findings name the change and the right
 camera, and contain nothing else except findings on the unchanged run.
+
+The part `effects` fits all cameras of each run, and some sets of four and three of them, untouched and with the last
+camera late or turned (`FAULTS`). The table compares the stated effect of the camera with the change of the fit relative
+to the untouched cameras, as medians of the ratio, and the verdict with the true error.
 """
 
 from __future__ import annotations
@@ -15,9 +19,10 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,12 +31,17 @@ import numpy as np
 from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
 from recordings import fit_settings, meta_of
+from scipy.spatial.transform import Rotation
+from wrong_inputs import Case, Change, Clip, Given, cameras_of, fitted, measured
 
 from recon import load_skeleton
 from recon.api.clip_inputs import prepare
 from recon.check.agreement import agreement_findings
+from recon.check.codes import EFFECTS
+from recon.check.verdict import evidence_of, expected_pose_of_trunk, expected_position
 from recon.clip import View, views_of
 from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.motion import Motion
 from recon.fit.result import Finding
 from recon.geometry.frames import euler_rotation, rigid
 
@@ -39,7 +49,7 @@ SKELETON = "cheetah-24"
 TURN_DEG, LAG = 5.0, 10
 TRUNK_M = 0.7
 """Length of the trunk of a cheetah, m."""
-Case = tuple[str, list[View], str, tuple[int, ...]]
+NamedCase = tuple[str, list[View], str, tuple[int, ...]]
 """Name of the change, the changed views, the expected finding and the cameras that it should name."""
 
 
@@ -58,7 +68,7 @@ def check_agreement(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
     return agreement_findings(motion, TrajectoryOptions().sigma_px, noise_m)  # type: ignore[arg-type]
 
 
-def cases(views: list[View]) -> Iterator[Case]:
+def cases(views: list[View]) -> Iterator[NamedCase]:
     def with_one(v: int, view: View) -> list[View]:
         return [*views[:v], view.mask_outside_image(), *views[v + 1 :]]
 
@@ -100,9 +110,129 @@ def named(findings: Sequence[Finding], views: Sequence[View]) -> set[tuple[str, 
     }
 
 
+def last_late(frames: int) -> Change:
+    """Return a change in which the last camera of a clip is late by a number of frames."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        if given.camera.name != clip.cameras[-1] or not frames:
+            return given
+        return given.seen(given.xy_px[frames:], given.keypoints.frames[:-frames])
+
+    return change
+
+
+def last_turned(degrees: float) -> Change:
+    """Return a change in which the pose of the last camera of a clip is turned about a random axis."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        if given.camera.name != clip.cameras[-1]:
+            return given
+        axis = clip.rng.normal(size=3)
+        return given.turned(Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix())
+
+    return change
+
+
+CODES = ("camera_turned", "camera_late", "camera_off")
+"""Codes of findings that state the effect of a single camera."""
+FAULTS: dict[str, Change] = {
+    "untouched": last_late(0),
+    "2 frames late": last_late(2),
+    "4 frames late": last_late(4),
+    "turned by 2 degrees": last_turned(2.0),
+    "turned by 8 degrees": last_turned(8.0),
+}
+
+
+def camera_sets(run: Path) -> Iterator[tuple[str, ...]]:
+    """Yield all cameras of a run, and two sets of four and three sets of three of them."""
+    names = cameras_of(run)
+    yield tuple(names)
+    for count, number in ((4, 2), (3, 3)):
+        sets = [*combinations(names, count)] if len(names) > count else []
+        yield from (sets[i] for i in np.linspace(0, len(sets) - 1, min(number, len(sets))).astype(int))
+
+
+def lengths_m(apart_m: np.ndarray) -> np.ndarray:
+    """Return the mean change of centred poses and of positions, m, between joints that are apart (T, J, 3)."""
+    known_m = apart_m[np.isfinite(apart_m).all(axis=(1, 2))]
+    middle_m = known_m.mean(axis=1, keepdims=True)
+    return np.array([np.linalg.norm(part_m, axis=-1).mean() for part_m in (known_m - middle_m, middle_m)])
+
+
+@dataclass(frozen=True, eq=False)
+class EffectRow:
+    """Effect of the last camera of a clip on poses and positions, and the verdict on the clip."""
+
+    stated_m: np.ndarray | None
+    """Effects that a finding states, shape (2,), m; None without such a finding."""
+    true_m: np.ndarray
+    """Changes relative to the fit of the untouched cameras, shape (2,), m."""
+    level: str
+    in_usual_interval: bool
+    """Whether the errors are at most the upper ends of the intervals that a clip without findings would have."""
+    in_interval: bool
+    """Whether the errors are at most the upper ends of the verdict's intervals, or the verdict has none."""
+
+
+def effect_row(clip: Clip, motion: Motion, given: Given, untouched: Motion) -> EffectRow:
+    """Compare a fit with the fit of the untouched cameras and with the truth."""
+    _, rows, untouched_rows = np.intersect1d(motion.frames, untouched.frames, return_indices=True)
+    items = [item for item in motion.findings if item.code in CODES and {*EFFECTS} <= item.numbers.keys()]
+    evidence, error, verdict = evidence_of(motion), measured(clip, given, motion), motion.verdict
+    assert verdict is not None
+    usual_m = expected_pose_of_trunk(evidence).high * evidence.trunk_m, expected_position(evidence).high
+    stated_m = [np.inf if interval is None else interval.high for interval in (verdict.pose_m, verdict.position_m)]
+    errors_m = np.array([error["pose_mm"] / 1000, error["position_m"]])
+    return EffectRow(
+        np.array([items[0].numbers[name] for name in EFFECTS]) if items else None,
+        lengths_m(motion.joints_m[rows] - untouched.joints_m[untouched_rows]),
+        verdict.level,
+        bool((errors_m <= usual_m).all()),
+        bool((errors_m <= stated_m).all()),
+    )
+
+
+def print_effects(runs: Sequence[Path]) -> None:
+    """Print the table of the part `effects`."""
+    table: dict[str, list[EffectRow]] = {name: [] for name in FAULTS}
+    for run in runs:
+        for names in camera_sets(run):
+            clip, motions = Clip(run, names), {}
+            for name, change in FAULTS.items():
+                with tempfile.TemporaryDirectory() as folder:
+                    motions[name], given = fitted(clip, Case(change, two=True), Path(folder))
+                table[name].append(effect_row(clip, motions[name], given, motions["untouched"]))
+    cells = []
+    for name, rows in table.items():
+        ratios = [row.stated_m / row.true_m for row in rows if row.stated_m is not None and row.true_m.all()]
+        levels = [row.level for row in rows]
+        cells.append(
+            [
+                name,
+                len(rows),
+                ", ".join(f"{value:.2f}" for value in np.median(ratios, axis=0)) if ratios else "",
+                " / ".join(str(levels.count(level)) for level in ("use", "check", "do not use")),
+                sum(row.level == "use" and not row.in_interval for row in rows),
+                sum(row.level == "do not use" and row.in_usual_interval for row in rows),
+            ]
+        )
+    header = ["last camera", "clips", "stated / true change, poses, positions", "use / check / do not use"]
+    print_table([*header, '"use", error beyond its interval', '"do not use", error within the usual'], cells)
+
+
 def main() -> None:
-    parser = parser_of(__doc__, kind="cheetah-runs")
-    runs = runs_or_exit(parser, parser.parse_args().folder)
+    parser = parser_of(__doc__, kind="cheetah-runs", only=("named", "effects"))
+    arguments = parser.parse_args()
+    runs = runs_or_exit(parser, arguments.folder)
+    if "named" in arguments.only:
+        print_named(runs)
+    if "effects" in arguments.only:
+        print_effects(runs)
+
+
+def print_named(runs: Sequence[Path]) -> None:
+    """Print the tables of cameras that the findings name."""
     unchanged, right, total, seconds = [], {}, {}, {"as it is": [], "changed": []}
     for run in runs:
         views, fps = views_of_run(run)
