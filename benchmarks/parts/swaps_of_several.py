@@ -156,7 +156,8 @@ def rows_of(clip: Clip) -> Iterator[dict[str, Any]]:
 
 def print_counts(table: pd.DataFrame, by: str) -> None:
     """Print how many planted swaps are named, and how many other findings are confirmed and false."""
-    head = [by, "fits", "planted swap named", "or as possible", "other swaps: confirmed", "false"]
+    titles = {"case": "exchanged", "count": "cameras"}
+    head = [titles.get(by, by), "fits", "planted swap named", "or as possible", "other swaps: confirmed", "false"]
     counted = []
     for name, rows in table.groupby(by, sort=False):
         found, planted = rows[rows["code"] != ""], rows["case"] != "nothing"
