@@ -142,12 +142,12 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     if count := len(analysis.not_measured):
         total = len(analysis.skeleton_angles)
         angles = f"All {total} angles have" if count == total else f"{count} of {total} angles have"
-        angles = f"1 of {total} angles has" if count == 1 else angles
+        verb = "are"
+        if count == 1:
+            angles, verb = f"1 of {total} angles has", "is"
         names = "" if count == total else f": {', '.join(analysis.not_measured)}"
-        yield (
-            f"{angles} less than {percent(MEASURED_FRACTION)} of their precision from the pixels, the rest from the "
-            f"prior, which figures show in grey{names}."
-        )
+        fraction = percent(MEASURED_FRACTION)
+        yield f"{angles} less than {fraction} of the precision from the pixels, and {verb} grey in figures{names}."
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted, so the gait cannot be named."
     rejections = [] if gait is None else [rejection_text(stride) for stride in gait.rejected_strides]
