@@ -171,8 +171,8 @@ class Window:
         return np.concatenate([corner, gradient[:, None]], axis=1)
 
 
-def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> tuple[Array, Array, float]:
-    """Return the damped step of frames (T, D) and shared unknowns (P,), and the cost.
+def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> tuple[Array, Array, float, float]:
+    """Return the damped step of frames (T, D) and shared unknowns (P,), the cost's slope along it, and the cost.
 
     The parameters are those of `eliminated`.
 
@@ -181,12 +181,16 @@ def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> 
     numpy.linalg.LinAlgError
         If a damped matrix is not positive definite (`factored`).
     """
-    windows, kept, cost = list[tuple[Window | Array, Array]](), 0, 0.0
+    windows, gradients, kept = list[tuple[Window | Array, Array]](), list[Array](), 0
+    shared_gradient: Array | float = 0.0
+    cost = 0.0
     for window in eliminated(pieces, damping, ahead=ahead):
         # With many shared unknowns, it is faster to keep a window, and to solve only for the step in the end.
         kept += window.factor.band.size + window.whitened.size
         is_kept = window.whitened.shape[-1] >= _MIN_BLOCK_COLUMNS and kept < _MAX_KEPT_VALUES
         windows.append((window.without_piece() if is_kept else window.solved(), window.reduced()))
+        gradients.append(window.piece.gradient)
+        shared_gradient = shared_gradient + window.piece.shared_gradient
         cost += window.piece.cost
     reduced = np.sum([part for _, part in windows], axis=0)
     corner, gradient = reduced[:, :-1], reduced[:, -1]
@@ -197,7 +201,9 @@ def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> 
             return -part[..., 0] - part[..., 1:] @ shared
         return -part.solved_for(shared)
 
-    return np.concatenate([frames_step(part) for part, _ in windows]), shared, cost
+    steps = [frames_step(part) for part, _ in windows]
+    slope = sum(float(np.vdot(*pair)) for pair in zip(gradients, steps, strict=True))
+    return np.concatenate(steps), shared, slope + float(np.vdot(shared_gradient, shared)), cost
 
 
 def eliminated(

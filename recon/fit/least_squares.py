@@ -43,6 +43,13 @@ _FRAMES_AT_ONCE = 128
 _PIECE_S = 5.5
 """Time (s) between frames at which they hardly influence each other, so that a long clip can be solved in pieces."""
 _FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-4, 1e6
+_MIN_EXCESS, _MAX_EXCESS = 0.1, 0.5
+"""Minimum and maximum excess of a step's decrease of the cost over half the slope with which the step is extended.
+
+The unit of the minimum is the decrease at which the search ends, and of the maximum the cost.
+"""
+_MAX_EXTENSION = 4.0
+"""Maximum factor by which a step is extended."""
 _STEP_FRACTIONS = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
@@ -273,7 +280,7 @@ class LeastSquares:
         current, damping = Estimate(states, np.nan, 0, False, shared), _FIRST_DAMPING  # the step computes the cost
         last_decrease = 0.0
         for iteration in range(1, max_iterations + 1):
-            current, lower, is_whole, damping = self._damped_step(current, damping)
+            current, lower, is_whole, damping = self._damped_step(current, damping, tolerance)
             decrease = 0.0 if lower is None else current.cost - lower.cost
             rate = decrease / last_decrease if is_whole and last_decrease else 1.0
             done = min(rate, 1.0) * decrease < _enough(current.cost, tolerance)
@@ -283,23 +290,35 @@ class LeastSquares:
             last_decrease = decrease if is_whole else 0.0
         return current
 
-    def _damped_step(self, current: Estimate, damping: float) -> tuple[Estimate, Estimate | None, bool, float]:
+    def _damped_step(
+        self, current: Estimate, damping: float, tolerance: float
+    ) -> tuple[Estimate, Estimate | None, bool, float]:
         """Return the current estimate and one of lower cost along a step, whether its step is whole, and a damping.
 
         The current estimate may come without its cost (NaN), and is returned with it. The other estimate is None if no
-        damping leads to a lower cost. Its step is whole if it was not shortened. The damping is that of the next step.
+        damping leads to a lower cost. Its step is whole if it was not shortened. If the cost curves less along a whole
+        step than in the quadratic model, a longer step is tried as well. The damping is that of the next step.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MAX_DAMPING:
             try:
-                states_step, shared_step, cost = step(normals(), damping, self.ahead)
+                states_step, shared_step, slope, cost = step(normals(), damping, self.ahead)
                 if math.isnan(current.cost):
                     current = replace(current, cost=cost)
                 for fraction in _STEP_FRACTIONS:
                     trial = self._moved(current, states_step, shared_step, fraction)
                     if trial.cost < current.cost:
                         next_damping = max(damping * (0.2 if fraction == 1.0 else 0.6), _MIN_DAMPING)
-                        return current, trial, fraction == 1.0, next_damping
+                        if fraction < 1.0:
+                            return current, trial, False, next_damping
+                        # The cost of the quadratic model falls by half the slope.
+                        excess = current.cost - trial.cost + 0.5 * slope
+                        least = _MIN_EXCESS * _enough(current.cost, tolerance)
+                        if least < excess < _enough(current.cost, _MAX_EXCESS):
+                            length = _best_length(current.cost - trial.cost, slope)
+                            further = self._moved(current, states_step, shared_step, length)
+                            trial = further if further.cost < trial.cost else trial
+                        return current, trial, True, next_damping
             except np.linalg.LinAlgError:  # the matrix is not positive definite to rounding, and needs more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
@@ -389,6 +408,12 @@ def _no_markers(states: Array) -> TreePose:
 def _enough(cost: float, tolerance: float) -> float:
     """Return the decrease of a cost at which a search with a relative tolerance ends."""
     return tolerance * max(abs(cost), 1.0)
+
+
+def _best_length(decrease: float, slope: float) -> float:
+    """Return the factor on a step, at most `_MAX_EXTENSION`, that minimises a parabola through the costs."""
+    bend = -decrease - slope  # the cost at length x is slope x + bend x^2
+    return min(-0.5 * slope / bend, _MAX_EXTENSION) if bend > 0 else _MAX_EXTENSION
 
 
 def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, start: int, stop: int) -> None:

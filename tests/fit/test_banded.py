@@ -245,10 +245,11 @@ def in_pieces(rng, dense, T, D, W, P, stops):
 def test_step_in_two_overlapping_pieces_is_exact(rng, D, W, P):
     T = 12
     pieces, whole, right = in_pieces(rng, dense_system(rng, T, D, W), T, D, W, P, [6, T])
-    moved, shared, _ = step(pieces, 0.01)
+    moved, shared, slope, _ = step(pieces, 0.01)
     expected = np.linalg.solve(whole + 0.01 * np.eye(len(whole)), -right)
     assert_close(moved.ravel(), expected[: T * D])
     assert_close(np.append(shared, 0.0), np.append(expected[T * D :], 0.0))
+    assert slope == pytest.approx(right @ expected)
 
 
 def test_frames_before_a_piece_are_eliminated_exactly(rng):
@@ -273,7 +274,7 @@ def test_frames_beyond_those_ahead_hardly_matter(rng, P, ahead):
     T, D, W = 60, 2, 2
     dense = dense_system(rng, T, D, W)
     pieces, whole, right = in_pieces(rng, dense, T, D, W, P, [20, 40, T])
-    moved, shared, _ = step(pieces, 0.0, ahead)
+    moved, shared, _, _ = step(pieces, 0.0, ahead)
     assert_close(np.append(moved.ravel(), shared), np.linalg.solve(whole, -right), rtol=1e-3)
     first, second, _ = eliminated(pieces, ahead=ahead)
     assert (first.rows_with_following, second.rows) == (slice(0, 20 + (ahead or 20)), slice(20, 40))

@@ -339,7 +339,7 @@ def test_a_search_without_any_step_ends_at_its_start(monkeypatch):
 def test_a_search_ends_when_the_next_step_will_gain_too_little(monkeypatch, whole_until, iterations):
     decreases = iter((500.0, 50.0, 5.0, 0.5, 0.05))
 
-    def damped_step(problem, current, damping):
+    def damped_step(problem, current, damping, tolerance):
         current = replace(current, cost=1000.0) if np.isnan(current.cost) else current
         lower = replace(current, cost=current.cost - next(decreases))
         return current, lower, current.iterations < whole_until, damping
@@ -427,3 +427,11 @@ def test_an_animal_that_stays_where_it_is_shows_no_sideslip():
     normal = problem.normal(np.repeat(some_states()[:1], 3, axis=0))
     np.testing.assert_array_equal(normal.corner, [[0.2**-2.0]])
     np.testing.assert_array_equal(normal.border, 0.0)
+
+
+def test_a_step_is_extended_to_the_least_cost_on_its_parabola():
+    from recon.fit.least_squares import _best_length
+
+    cost = np.polynomial.Polynomial([3.0, -2.0, 0.5])  # the minimum is at 2
+    assert _best_length(float(cost(0.0) - cost(1.0)), -2.0) == pytest.approx(2.0)
+    assert _best_length(2.5, -2.0) == 4.0  # the cost bends downwards
