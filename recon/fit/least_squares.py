@@ -46,7 +46,8 @@ _FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-4, 1e6
 _MIN_EXCESS, _MAX_EXCESS = 0.1, 0.5
 """Minimum and maximum excess of a step's decrease of the cost over half the slope with which the step is extended.
 
-The unit of the minimum is the decrease at which the search ends, and of the maximum the cost.
+The unit of the minimum is the decrease at which the search ends, and of the maximum the cost. Without longer steps,
+clips that hardly determine the poses need many more iterations.
 """
 _MAX_EXTENSION = 4.0
 """Maximum factor by which a step is extended."""
