@@ -179,7 +179,6 @@ def test_a_bundled_map_accepts_any_spelling_of_a_name(tmp_path):
         ("RHhock", "r_back_ankle"),
         ("right_pelvic_limb_paw", "r_back_paw"),
         ("TailSet", "tail_base"),
-        ("ankle_L", "l_back_ankle"),  # the joint of a fore leg is the wrist
         ("L_B_Elbow", None),  # a hind leg has no elbow
     ],
 )
