@@ -329,6 +329,7 @@ OTHERS_OPTIONS = {
     "--clips",
     "--levels",
     "--tie",
+    "--first",
     "--folds",
     "--others",
     "--only",
