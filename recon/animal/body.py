@@ -21,7 +21,7 @@ from pydantic import BeforeValidator
 
 from recon.base.arrays import Array, Brief, Index
 from recon.base.errors import Problem
-from recon.geometry.kinematics import Tree
+from recon.geometry.kinematics import Marker, Tree
 
 ROUGH_SIZE_SIGMA = 0.25
 """Relative standard deviation of the animal's size above which a skeleton belongs to no particular species.
@@ -222,6 +222,25 @@ class Body(Brief):
             for m, (x, y, z) in zip(self.tree.markers, shifts, strict=True)
         )
         return replace(self.tree, markers=tuple(markers))
+
+    @cached_property
+    def joint_points(self) -> tuple[Tree, Index]:
+        """Return a kinematic tree of the points that define the A anatomical joints, and their indices in it, (A, 5).
+
+        The points of a joint are its three markers (`anatomy`), and two points on the left axis of the segment that
+        carries the first marker. These are 1 m apart, so that their difference has the derivatives of the axis.
+        """
+        segment_of, sides = {marker.name: marker.segment for marker in self.tree.markers}, (0, 1)
+        carriers = dict.fromkeys(segment_of[markers[0]] for markers in self.anatomy.values())
+        on_axes = [
+            Marker(f"{segment} {side}", segment, (0.0, side - 0.5, 0.0)) for segment in carriers for side in sides
+        ]
+        defining = {marker for markers in self.anatomy.values() for marker in markers}
+        tree = replace(self.tree, markers=(*(m for m in self.tree.markers if m.name in defining), *on_axes))
+        index_of = {marker.name: index for index, marker in enumerate(tree.markers)}
+        points = [(*m, *(f"{segment_of[m[0]]} {side}" for side in sides)) for m in self.anatomy.values()]
+        indices = [[index_of[point] for point in of_joint] for of_joint in points]
+        return tree, np.array(indices, dtype=np.intp).reshape(-1, 5)
 
     @cached_property
     def markers(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from recon.animal.anatomy import FLEXES_CAUDALLY, joint_and_side, sagittal_angle
 from recon.animal.body import Body
 from recon.base.arrays import Array
-from recon.geometry.kinematics import YAW, Marker, Tree
+from recon.geometry.kinematics import YAW
 
 _ROWS_AT_ONCE = 64
 """Number of frames whose derivatives are computed at once, to limit memory."""
@@ -58,15 +58,7 @@ def flexion_by_angles(body: Body, states: Array, size: float = 1.0) -> Array:
     A flexion follows from several angles if the first marker is not on the axis of its bone, or if the joint's markers
     are on more than two segments.
     """
-    segment_of, signs = {marker.name: marker.segment for marker in body.tree.markers}, (0, 1)
-    # Two points on the left axis of a segment, 1 m apart, have the derivatives of the axis.
-    carriers = dict.fromkeys(segment_of[markers[0]] for markers in body.anatomy.values())
-    on_axes = [Marker(f"{segment} {side}", segment, (0.0, side - 0.5, 0.0)) for segment in carriers for side in signs]
-    defining = {marker for markers in body.anatomy.values() for marker in markers}
-    tree = Tree(body.tree.segments, (*(m for m in body.tree.markers if m.name in defining), *on_axes))
-    row_of = {marker.name: row for row, marker in enumerate(tree.markers)}
-    points = [(*m, *(f"{segment_of[m[0]]} {side}" for side in signs)) for m in body.anatomy.values()]
-    rows = np.array([[row_of[point] for point in of_joint] for of_joint in points], dtype=int).reshape(-1, 5)
+    tree, rows = body.joint_points
     sign = np.array([FLEXES_CAUDALLY[joint_and_side(name)[0]] for name in body.anatomy])[:, None, None]
     derivatives = np.empty((len(states), len(rows), states.shape[1] - YAW))
     for start in range(0, len(states) if body.anatomy else 0, _ROWS_AT_ONCE):
