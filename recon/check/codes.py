@@ -140,7 +140,9 @@ def sentence(item: Finding, named: bool = True) -> str:
     camera, frames_text = item.camera if named else "the camera", _where(item.frames)
     values["effect"] = effect_text(numbers, "Without this fault")
     values["focal_effect"] = effect_text(numbers, "With a focal length at the end of its 90 % interval")
-    values["swap_effect"] = effect_text(numbers, "Without this fault") or " They are swapped in the pose too."
+    # The pose follows a swap of the only camera, but several cameras may have kept it right.
+    without_effect = "" if named else " They are swapped in the pose too."
+    values["swap_effect"] = effect_text(numbers, "Without this fault") or without_effect
     values["lens_effect"] = effect_text(numbers, "With a fisheye lens")
     values.setdefault("part", "--frames")  # in motions of earlier versions the finding has no part
     if "count" in numbers:

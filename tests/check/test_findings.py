@@ -114,7 +114,7 @@ SENTENCES = {
         {"hfov_deg": 118.2, "pose_effect_m": 0.057, "position_effect_m": 2.2},
     ),
     "left_right_swap": (
-        "look swapped in frame 10, in the fore legs. They are swapped in the pose too. Look",
+        "look swapped in frame 10, in the fore legs. Look at the video",
         {"part": "the fore legs"},
     ),
     "left_right_swap_possible": (
@@ -235,8 +235,8 @@ SENTENCES = {
 def test_each_finding_with_an_effect_has_a_clause_for_the_expected_error():
     """The expected error that an effect increases says "if the focal length is wrong", not the finding's code."""
     with_effect = {code for code, (_, text) in CODES.items() if "effect}" in text}
-    of_one_camera = {"left_right_swap", "left_right_swap_possible", "clock_drifts"}  # their messages do not state it
-    assert {*FAULTS} == with_effect | of_one_camera
+    without_text = {"left_right_swap_possible", "clock_drifts"}  # their messages do not state the effect
+    assert {*FAULTS} == with_effect | without_text
     assert all(clause[0].islower() and not clause.endswith(".") for clause in FAULTS.values())
 
 
@@ -247,6 +247,15 @@ def test_every_code_has_its_sentence(code):
     assert one.severity == CODES[code][0]
     assert words in sentence(one)
     assert sentence(one).endswith((".", "?"))
+
+
+def test_only_with_one_camera_a_swap_is_said_to_be_in_the_pose():
+    """With several cameras, the others may keep the pose right, and the fit states by how much it would change."""
+    swap = finding("left_right_swap", (10, 11), "cam1", part="the fore legs")
+    assert "in the fore legs. They are swapped in the pose too. Look" in sentence(swap, named=False)
+    assert "pose" not in sentence(swap)
+    weighed = replace(swap, numbers=swap.numbers | {"pose_effect_m": 0.012, "position_effect_m": 0.004})
+    assert "Without this fault, poses would change by 12 mm and positions by 4 mm. Look" in sentence(weighed)
 
 
 def test_a_finding_of_an_earlier_version_has_a_sentence():
