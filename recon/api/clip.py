@@ -209,10 +209,11 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
 
 
 def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
-    """Refine the poses of two cameras, unless they are known, or the refined poses fit no better or the rays worse.
+    """Refine the poses of two cameras, unless they are known or the refined poses are not better.
 
-    The animal's lengths have to be known roughly, because only lengths can contradict the poses of a pair whose rays
-    meet. The search begins at the solution with the poses as calibrated.
+    Refined poses are not better if they do not fit better, or if the rays of both cameras meet worse. The animal's
+    lengths have to be known roughly, because only lengths can contradict the poses of a pair whose rays meet. The
+    search begins at the solution with the poses as calibrated.
     """
     is_fixed = settings.cameras_known or settings.camera_track is not None or settings.belt_speed_m_s is not None
     if is_fixed or fit.options.refine_cameras or len(fit.sources) != 2 or inputs.body.size_sigma > ROUGH_SIZE_SIGMA:
@@ -279,7 +280,7 @@ def _with_stage_time(fit: _Fit, stage: str, seconds: float) -> _Fit:
 
 
 def _check_agreement(fit: _Fit, motion: Motion, inputs: ClipInputs) -> _Fit:
-    """Add findings on cameras that contradict each other, and grade swaps by their effect on the positions."""
+    """Add findings on cameras that contradict each other, and grade swaps by their effect on the fit."""
     if len(fit.sources) == 1:
         return fit
     from recon.check.agreement import agreement_findings, swaps_by_effect

@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from recon.animal.body import opposites
 from recon.base.arrays import Array
 from recon.check.codes import EFFECTS, by_effect, finding
 from recon.check.sights import (
@@ -38,6 +37,7 @@ from recon.check.sights import (
     sights_of,
     squared_errors,
 )
+from recon.check.swaps import with_exchanged_names
 from recon.clip import View, densest_window
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
@@ -185,7 +185,7 @@ def swaps_by_effect(findings: Sequence[Finding], motion: Motion, fitted: Fitted)
 
     A swap in one camera has little effect if the other cameras agree, because the robust fit follows them. The effect
     of a swap is the change of a fit of the frames around it, in which all swaps are exchanged back. With fewer than
-    three cameras, the findings are not changed.
+    three cameras, the findings are not changed. `fitted` is the function that fits views.
     """
     views = motion.solution.views
     swaps = [item for item in findings if item.code in SWAPS and item.frames and item.names("keypoints")]
@@ -208,15 +208,11 @@ def swaps_by_effect(findings: Sequence[Finding], motion: Motion, fitted: Fitted)
 
 def _without_swaps(motion: Motion, swaps: Sequence[Finding]) -> list[View]:
     """Return the views of a motion with left and right exchanged in the frames and keypoints of the swaps."""
-    views, opposite = [*motion.solution.views], np.array(opposites(motion.body.markers))
+    views = [*motion.solution.views]
     names = [view.camera.name for view in views]
     for swap in swaps:
         v, rows = names.index(str(swap.camera)), slice(*np.searchsorted(motion.frames, swap.frames or ()))
-        is_named = np.isin(motion.body.markers, swap.names("keypoints"))
-        order = np.where(is_named, opposite, np.arange(len(opposite)))
-        xy_px, confidence = views[v].xy_px.copy(), views[v].confidence.copy()
-        xy_px[rows], confidence[rows] = xy_px[rows][:, order], confidence[rows][:, order]
-        views[v] = replace(views[v], xy_px=xy_px, confidence=confidence)
+        views[v] = replace(views[v], **with_exchanged_names(views[v], rows, swap.names("keypoints"), motion.body))
     return views
 
 

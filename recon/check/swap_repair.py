@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.animal.body import Body, opposites
+from recon.animal.body import Body
 from recon.check import likelihood
 from recon.check.codes import finding
-from recon.check.swaps import PARTS, exchanged_rows
+from recon.check.swaps import PARTS, with_exchanged_names
 from recon.clip import Source
 from recon.fit.result import Finding, TrajectorySolution
 
@@ -34,17 +34,14 @@ def without_swaps(
     sources: Sequence[Source], findings: Sequence[Finding], body: Body
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
     """Return the sources with the detected swaps corrected, and the findings with a mark on each corrected swap."""
-    mended, marked, opposite_names = [*sources], [*findings], opposites(body.markers)
+    mended, marked = [*sources], [*findings]
     for i, swap in enumerate(findings):
         if swap.code != "left_right_swap" or swap.frames is None:
             continue
         number = next(v for v, source in enumerate(sources) if source.camera.name == swap.camera)
         keypoints = mended[number].keypoints
         rows = slice(*np.searchsorted(keypoints.frames, swap.frames))
-        named = np.isin(keypoints.names, swap.names("keypoints"))
-        exchanged_back = exchanged_rows(
-            keypoints, rows, np.where(named, opposite_names, np.arange(len(opposite_names)))
-        )
+        exchanged_back = with_exchanged_names(keypoints, rows, swap.names("keypoints"), body)
         mended[number] = replace(mended[number], keypoints=replace(keypoints, **exchanged_back))
         is_most_of_clip = swap.numbers["part"] == PARTS["all"] and 2 * (rows.stop - rows.start) > len(keypoints.frames)
         # A swap of most of a clip may also be a mirrored video.

@@ -16,6 +16,7 @@ chosen.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -88,6 +89,15 @@ def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> d
     for array in values.values():
         array[rows] = array[rows][:, permutation]
     return values
+
+
+def with_exchanged_names(seen: View | Keypoints, rows: slice, names: Sequence[str], body: Body) -> dict[str, Array]:
+    """Return the fields of the detections, with some markers of a body and their counterparts swapped in some frames.
+
+    `names` are the markers of both sides.
+    """
+    opposite, is_named = opposites(body.markers), np.isin(body.markers, names)
+    return exchanged_rows(seen, rows, np.where(is_named, opposite, np.arange(len(opposite))))
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
