@@ -50,8 +50,8 @@ the model.
 CERTAIN_GAIN = 30.0
 """Log-likelihood gain above which the evidence counts as clear.
 
-The gain of a swap over a contradicting swap, of the whole clip without its swaps over the clip as given, and of another
-frame rate over the given rate must exceed this value.
+The gain of a swap over a contradicting swap, of the whole clip without its swaps over the clip as given, of a swap that
+two or more other cameras show, and of another frame rate over the given rate must exceed this value.
 """
 KEYPOINT_WEIGHT = 0.4
 """Weight of each keypoint's log-density, below 1 because the keypoints of one limb have similar errors.

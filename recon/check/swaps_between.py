@@ -53,8 +53,8 @@ def swaps_between(clip: ClipProblem, solution: TrajectorySolution) -> tuple[list
 def _candidates(clip: ClipProblem, solution: TrajectorySolution) -> list[tuple[int, Swap]]:
     """Return each possible swap of each view, with the index of the view.
 
-    What the other cameras see must be clear on its own. The jumps of the tracks only move the ends of a swap, and tell
-    all keypoints from one pair of legs.
+    The evidence of the other cameras must be clear on its own. The jumps of the tracks only move the ends of a swap,
+    and distinguish a swap of all keypoints from a swap of one pair of legs.
     """
     kinds, candidates = pairs_of(clip.body), []
     for number, predicted in enumerate(predicted_by_others(clip.views, solution.markers_m, [*solution.noise_px])):

@@ -37,7 +37,7 @@ MIN_KNOWN_FRACTION = 0.9
 MIN_STRIDES = 3
 """Minimum number of strides that show how much strides differ; a band from two strides would be 15 SDs wide."""
 _ROWS_AT_ONCE = 500
-"""Number of frames whose derivatives are computed at once, to limit memory."""
+"""Number of frames whose angles are computed at once, to limit memory."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -463,7 +463,7 @@ def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredP
         raise InputError(Problem(path, "coords", "3D positions (x, y, z)", "2D keypoints in pixels (x, y)"))
     if stored is None or (kind == "3D" and not stored.in_space):
         raise InputError(Problem(path, "coords", f"no z ({reader.title})", "3D positions (x, y, z)"))
-    if stored is not None and not stored.in_space and stored.unit is not None:
+    if not stored.in_space and stored.unit is not None:
         expected = "pixels of the picture (x, y), or a column z of 3D positions"
         raise InputError(Problem(path, "columns", f"2D positions in {stored.unit}", expected))
     return stored
