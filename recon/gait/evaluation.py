@@ -50,8 +50,8 @@ WHOLE_FRAME = 1e-4
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
 """Names of the files with positions and with a summary that `recon triangulate` writes."""
 _TURNED = (
-    "The result's world was turned until the ground is level, as the feet show it. In a reference with the axes of the "
-    "camera file, all positions differ by this turn: compare PA, or fit again with --set up."
+    "The fit turned the world of the camera file until the ground under the feet was level. If the reference has the "
+    "axes of the camera file, all positions differ by this rotation: compare PA, or fit again with --set up."
 )
 LEVELS = (0.5, 0.9)
 """Probabilities of the stated intervals whose coverage is evaluated."""
