@@ -32,7 +32,7 @@ from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
 from recordings import fit_settings, meta_of
 from scipy.spatial.transform import Rotation
-from wrong_inputs import Case, Change, Clip, Given, cameras_of, fitted, measured
+from wrong_inputs import Case, Change, Clip, Given, cameras_of, errors, fitted, measured
 
 from recon import load_skeleton
 from recon.api.clip_inputs import prepare
@@ -153,13 +153,6 @@ def camera_sets(run: Path) -> Iterator[tuple[str, ...]]:
         yield from (sets[i] for i in np.linspace(0, len(sets) - 1, min(number, len(sets))).astype(int))
 
 
-def lengths_m(apart_m: np.ndarray) -> np.ndarray:
-    """Return the mean change of centred poses and of positions, m, between joints that are apart (T, J, 3)."""
-    known_m = apart_m[np.isfinite(apart_m).all(axis=(1, 2))]
-    middle_m = known_m.mean(axis=1, keepdims=True)
-    return np.array([np.linalg.norm(part_m, axis=-1).mean() for part_m in (known_m - middle_m, middle_m)])
-
-
 @dataclass(frozen=True, eq=False)
 class EffectRow:
     """Effect of the last camera of a clip on poses and positions, and the verdict on the clip."""
@@ -178,6 +171,8 @@ class EffectRow:
 def effect_row(clip: Clip, motion: Motion, given: Given, untouched: Motion) -> EffectRow:
     """Compare a fit with the fit of the untouched cameras and with the truth."""
     _, rows, untouched_rows = np.intersect1d(motion.frames, untouched.frames, return_indices=True)
+    changes_m = motion.joints_m[rows] - untouched.joints_m[untouched_rows]
+    pose_mm, position_m = errors(changes_m[np.isfinite(changes_m).all(axis=(1, 2))])
     items = [item for item in motion.findings if item.code in CODES and {*EFFECTS} <= item.numbers.keys()]
     evidence, error, verdict = evidence_of(motion), measured(clip, given, motion), motion.verdict
     assert verdict is not None
@@ -186,7 +181,7 @@ def effect_row(clip: Clip, motion: Motion, given: Given, untouched: Motion) -> E
     errors_m = np.array([error["pose_mm"] / 1000, error["position_m"]])
     return EffectRow(
         np.array([items[0].numbers[name] for name in EFFECTS]) if items else None,
-        lengths_m(motion.joints_m[rows] - untouched.joints_m[untouched_rows]),
+        np.array([pose_mm / 1000, position_m]),
         verdict.level,
         bool((errors_m <= usual_m).all()),
         bool((errors_m <= stated_m).all()),

@@ -31,6 +31,7 @@ from arguments import parser_of, runs_or_exit
 from cameras import PRIOR, Run, cameras_of, errors, log_distance_ratio, run_of
 from markdown_table import print_table
 from trajectory import body_of, prior_of
+from wrong_inputs import errors as pose_and_position
 
 from recon import Camera, FitSettings, fit_clip, write_camera
 from recon.fit.clip_problem import TrajectoryOptions
@@ -104,17 +105,15 @@ def lens_row(run: Run, number: int, lens: dict[str, Any] | None) -> dict[str, An
     found_m = motion.solution.joints_m @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
     true_m = true.world_to_camera(run.truth_m)
     off_m = found_m - true_m
-    off_m = off_m[np.isfinite(off_m).all(axis=(1, 2))]
-    centred_m = off_m - off_m.mean(axis=1, keepdims=True)
-    pose_m = float(np.linalg.norm(centred_m, axis=-1).mean())
-    position_m = float(np.linalg.norm(off_m.mean(axis=1), axis=-1).mean())
+    pose_mm, position_m = pose_and_position(off_m[np.isfinite(off_m).all(axis=(1, 2))])
     far = [np.nanmedian(np.linalg.norm(np.nanmean(points_m, axis=1), axis=-1)) for points_m in (found_m, true_m)]
     verdict = motion.verdict
     assert verdict is not None
     limits = (verdict.pose_m, verdict.position_m)
-    errors_m = (pose_m, position_m)
+    errors_m = (pose_mm / 1000, position_m)
     beyond = [limit is None or error_m > limit.high for limit, error_m in zip(limits, errors_m, strict=True)]
-    return {"pose": pose_m, "position": position_m, "far": far[0] / far[1], "level": verdict.level, "beyond": beyond}
+    figures = {"pose_mm": pose_mm, "position_m": position_m, "far": far[0] / far[1]}
+    return figures | {"level": verdict.level, "beyond": beyond}
 
 
 def print_lenses(runs: Sequence[Run]) -> None:
@@ -128,8 +127,8 @@ def print_lenses(runs: Sequence[Run]) -> None:
         cells.append(
             [
                 label,
-                f"{1000 * np.mean([row['pose'] for row in rows]):.0f}",
-                f"{np.mean([row['position'] for row in rows]):.2f}",
+                f"{np.mean([row['pose_mm'] for row in rows]):.0f}",
+                f"{np.mean([row['position_m'] for row in rows]):.2f}",
                 f"{100 * distance:+.0f} %",
                 " / ".join(str(levels.count(level)) for level in ("use", "check", "do not use")),
                 ", ".join(str(int(count)) for count in np.broadcast_to(beyond, 2)),

@@ -28,7 +28,8 @@ import pandas as pd
 from arguments import parser_of, runs_or_exit
 from left_right_swaps import SWAP, UNCLEAR, View, agreed, stretch_of, view_in_run
 from markdown_table import print_table
-from trajectory import GROUPS, meta_of
+from recordings import fit_settings, meta_of
+from trajectory import GROUPS
 
 from recon import FitSettings, Motion, fit_clip, read_keypoints
 from recon.animal.body import other_side
@@ -97,7 +98,7 @@ def settings_of(clip: Clip, folder: Path) -> FitSettings:
         changed = exchanged_rows(file, rows, permutation_of(clip.case, file.names))
         paths[0] = folder / paths[0].name
         write_csv(replace(file, **changed, fps=None), paths[0])
-    return FitSettings(keypoints=tuple(paths), camera=(clip.run / "scene.json",), fps=float(meta_of(clip.run)["fps"]))
+    return fit_settings(clip.run, clip.cameras, keypoints=tuple(paths))
 
 
 @cache
