@@ -530,7 +530,7 @@ def test_console_summary_of_a_trajectory(trajectory):
         "161 used, 31 missing",
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s on average",
-        "not measured: all metres and m/s assume average size (cheetah, ± 10 %)",
+        "not measured: all metres and m/s assume average size (cheetah, ±10 %)",
         "is assumed to be level",
     ):
         assert text in shown

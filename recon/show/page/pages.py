@@ -197,7 +197,7 @@ def _base(path: str | None) -> str:
 
 
 def _plain(value: object) -> str:
-    """Return a value of the settings as a string as in config.toml, with paths reduced to file names."""
+    """Return a value of the settings as a string, with at most six digits, and paths reduced to file names."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

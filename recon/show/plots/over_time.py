@@ -37,10 +37,8 @@ from recon.show.plots import style
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
 """Height of a foot's bars for all gaits together, as a fraction of the height of the foot's row."""
-
-
 FINE = 0.01
-"""Duration of a stance relative to the figure's, below which intervals and strides would hide the stances."""
+"""Duration of a stance, as a fraction of the clip's, below which intervals and strides would hide the stances."""
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "", has_caption: bool = True) -> Figure:

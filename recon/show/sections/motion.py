@@ -129,7 +129,7 @@ def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         yield "size", f"as given ({size_source}), ±{percent(data['sigma'])}"
     else:
         spread = percent(data["prior_sigma"])
-        yield "size", f"not measured: all metres and m/s assume average size ({animal}, ± {spread})"
+        yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{spread})"
     if (shape := data["shape"]) is not None:
         lengths = f"estimated with the pose, ±{percent(shape['length_sigma'])} (median of {shape['lengths']})"
         yield (
