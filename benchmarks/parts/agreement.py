@@ -164,8 +164,15 @@ class EffectRow:
     level: str
     in_usual_interval: bool
     """Whether the errors are at most the upper ends of the intervals that a clip without findings would have."""
-    in_interval: bool
-    """Whether the errors are at most the upper ends of the verdict's intervals, or the verdict has none."""
+    errors_m: np.ndarray
+    """Errors of poses and positions, shape (2,), m."""
+    bounds_m: np.ndarray
+    """Upper ends of the verdict's intervals of these errors, shape (2,), m; infinite without an interval."""
+
+    @property
+    def is_use_beyond(self) -> bool:
+        """Whether the verdict is "use" although an error is beyond its interval."""
+        return self.level == "use" and bool((self.errors_m > self.bounds_m).any())
 
 
 def effect_row(clip: Clip, motion: Motion, given: Given, untouched: Motion) -> EffectRow:
@@ -184,7 +191,8 @@ def effect_row(clip: Clip, motion: Motion, given: Given, untouched: Motion) -> E
         np.array([pose_mm / 1000, position_m]),
         verdict.level,
         bool((errors_m <= usual_m).all()),
-        bool((errors_m <= stated_m).all()),
+        errors_m,
+        np.array(stated_m),
     )
 
 
@@ -208,12 +216,19 @@ def print_effects(runs: Sequence[Path]) -> None:
                 len(rows),
                 ", ".join(f"{value:.2f}" for value in np.median(ratios, axis=0)) if ratios else "",
                 " / ".join(str(levels.count(level)) for level in ("use", "check", "do not use")),
-                sum(row.level == "use" and not row.in_interval for row in rows),
+                sum(row.is_use_beyond for row in rows),
                 sum(row.level == "do not use" and row.in_usual_interval for row in rows),
             ]
         )
     header = ["last camera", "clips", "stated / true change, poses, positions", "use / check / do not use"]
     print_table([*header, '"use", error beyond its interval', '"do not use", error within the usual'], cells)
+    for name, rows in table.items():
+        if beyond := [row for row in rows if row.is_use_beyond]:
+            error_m, bound_m = (
+                " to ".join(dict.fromkeys(f"{end(positions_m):.2f}" for end in (min, max)))
+                for positions_m in zip(*((row.errors_m[1], row.bounds_m[1]) for row in beyond), strict=True)
+            )
+            print(f'{name}, "use" beyond: position errors of {error_m} m, upper ends of their intervals {bound_m} m')
 
 
 def main() -> None:

@@ -179,7 +179,7 @@ def print_recorded(table: pd.DataFrame) -> None:
     found, rows = recorded_clips[recorded_clips["code"] != ""], []
     for (run, camera, part), swaps in found.groupby(["run", "camera", "part"]):
         of_run = recorded_clips[recorded_clips["run"] == run].drop_duplicates(FIT)
-        clips = sum(camera.removeprefix("cam") in cameras.split() for cameras in of_run["cameras"])
+        clips = sum(str(camera).removeprefix("cam") in cameras.split() for cameras in of_run["cameras"])
         named = [len(swaps[swaps["code"] == code].groupby(FIT)) for code in (SWAP, UNCLEAR)]
         confirmed = f"{swaps['confirmed'].sum()} of {len(swaps)}"
         rows.append(
