@@ -11,8 +11,8 @@ of data/samples. Wrong clips are every n-th view with a case of `wrong_inputs.py
 - long steps by themselves: the fraction of the long steps that exceed `ISOLATED_STEP_RATIO` times both their
   neighbours, for clips with more long steps than `LONG_STEP_FRACTION`
 - feet below trunk: `feet_below_trunk`, which does not depend on a fit
-- zoom: the logarithm of the fitted zoom per second, up to `MAX_ZOOM_FACTOR` times `ZOOM_PER_S`; 0 if no zoom by
-  `ZOOM_PER_S` fits better than none
+- zoom: the size of the fitted zoom per second, as a logarithm, up to `MAX_ZOOM_FACTOR` times `ZOOM_PER_S`; 0 if a
+  single zoom shows that it is less than `ZOOM_PER_S`
 - feet backwards: the backward speed of standing feet, relative to the speed of the body over the feet, for clips in
   which the body moves faster over its feet than `SLIDE_LEGS_S`
 - feet, m/s: the speed of standing feet along the trunk
@@ -80,7 +80,7 @@ STATISTICS = {
     "long steps": (f"{inputs.LONG_STEP_FRACTION}", (UNTOUCHED, DOGS, *STEPS)),
     "long steps by themselves": (f"{inputs.ISOLATED_STEP_FRACTION}", (UNTOUCHED, DOGS, *STEPS)),
     "feet below trunk": (f"{likelihood.UPRIGHT_RATIO}", (UNTOUCHED, DOGS, *TURNED)),
-    "zoom": (f"±{likelihood.ZOOM_PER_S}", (*_RIGHT, "zooms x 1.5")),
+    "zoom": (f"{likelihood.ZOOM_PER_S}", (*_RIGHT, "zooms x 1.5")),
     "feet backwards": (f"{inputs.SLIDE_RATIO}", _SLIDING),
     "feet, m/s": (f"{inputs.SLIDE_M_S} to {inputs.GLIDE_M_S}", _SLIDING),
     "body over feet": (f"{inputs.SLIDE_LEGS_S}", _SLIDING),

@@ -480,11 +480,10 @@ def smaller(camera: Camera, times: float) -> Camera:
 ZOOM_PER_S = 0.2
 """Logarithm of the zoom per second that is tried first, and the smallest zoom that is reported.
 
-A smaller zoom may also fit better because an animal of other proportions comes nearer. The best zoom is -0.42 to 0.20
-(median 0) in 30 correct views, and 0.06 to 0.57 (median 0.31) if the picture zooms by 1.5 in a clip. At twice the
-value, most of these zooms would be missed. At half the value, the rendered video (0.09) would not be reported either
-(`python benchmarks/wrong_inputs.py --only input-limits`). The gain of a zoom must also exceed `REPORTED_GAIN`, so only
-some of these zooms are reported (`--only zoom` counts them).
+A smaller zoom may also fit better because an animal of other proportions comes nearer. The size of the best zoom is at
+most 0.42 (median 0) in 32 correct views, and up to 0.57 (median 0.29) if the picture zooms by 1.5 in a clip. At twice
+the value, most of these zooms would be missed (`python benchmarks/wrong_inputs.py --only input-limits`). The gain of a
+zoom must also exceed `REPORTED_GAIN`, so only some of these zooms are reported (`--only zoom` counts them).
 """
 MAX_ZOOM_FACTOR = 5.0
 """Largest zoom that is tried, as a multiple of `ZOOM_PER_S`."""
