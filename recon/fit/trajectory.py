@@ -36,7 +36,7 @@ from recon.animal.prior import NONE, MotionPrior
 from recon.base.arrays import Bools
 from recon.base.progress import Progress, silent
 from recon.base.threads import one_thread
-from recon.clip import BRIDGED_S, View
+from recon.clip import BRIDGED_S, View, densest_window
 from recon.fit import constants
 from recon.fit.body_shape import FreeShape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
@@ -59,6 +59,14 @@ ROUNDS_END = 0.8
 """Fraction of the solver's time after which the rounds are done and the posterior begins, for the progress bar."""
 FLATTENED_FRACTION = 0.1
 """Fraction of the time between starts and posterior that step 3 takes, for the progress bar."""
+SHAPE_S = 45.0
+"""Maximum duration (s) of the part of a clip from which the lengths and offsets of an unknown shape are estimated.
+
+A larger animal whose lengths are all shorter has the same markers, so only priors determine the common factor. The
+priors of the motion, which belong to the nominal size, count in every frame, and outweigh the prior of the lengths in a
+long clip. An animal of size 1, simulated with six cameras (`benchmarks/parts/long_clips.py`), had a size of 1.02 from
+44 s, but 1.18 from 67 s and 1.37 from 89 s.
+"""
 _TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses in step 3, in the order in which they are used."""
 _FLATTENED_TOLERANCE = 5e-3
@@ -115,6 +123,7 @@ def solve_trajectory(
     clip = ClipProblem.from_views(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
     clip = clip.with_free_shape()
     with one_thread():
+        clip = _with_shape_of_part(clip)
         segments = solve_segments(clip, progress) if start is None else _solve_segments_from(clip, start)
         clip, segments = _with_one_shape(clip, segments)
         solution = solution_of(clip, segments, body, began)
@@ -295,11 +304,31 @@ def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> 
     return replace(solution, segments=tuple(segments))
 
 
+def _with_shape_of_part(clip: ClipProblem) -> ClipProblem:
+    """Return the problem with the shape of the part with the most detections, if the clip is longer than `SHAPE_S`."""
+    n = round(SHAPE_S * clip.fps)
+    if clip.shape is None or not clip.solves_shape or len(clip) <= n:
+        return clip
+    part = clip.part(densest_window(clip.present().sum(axis=1), n))
+    shaped = [segment for segment in solve_segments(part) if LENGTHS in segment.estimate.shared]
+    if not shaped:
+        return clip
+    known = _with_mean_shape(part, shaped)
+    return replace(clip, body=known.body, shape=known.shape, solves_shape=False)
+
+
 def _with_one_shape(clip: ClipProblem, segments: list[SegmentFit]) -> tuple[ClipProblem, list[SegmentFit]]:
     """Return the problem and the segments, solved again with the mean of the segments' body shapes."""
     shaped = [segment for segment in segments if LENGTHS in segment.estimate.shared]
     if clip.shape is None or len(shaped) < 2:
         return clip, segments
+    clip = _with_mean_shape(clip, shaped)
+    return clip, [refined(clip, _without_shape(segment)) for segment in segments]
+
+
+def _with_mean_shape(clip: ClipProblem, shaped: Sequence[SegmentFit]) -> ClipProblem:
+    """Return the problem with the mean of the body shapes of some segments, weighted by their detections."""
+    assert clip.shape is not None
     counts = np.array([sum(view.present[segment.rows].sum() for view in clip.views) for segment in shaped], dtype=float)
     shares = counts / counts.sum()
     mean = {
@@ -310,8 +339,7 @@ def _with_one_shape(clip: ClipProblem, segments: list[SegmentFit]) -> tuple[Clip
         if name in shaped[0].estimate.shared
     }
     body = clip.shape.applied(mean)
-    clip = replace(clip, body=body, shape=FreeShape.of_body(body), solves_shape=False)
-    return clip, [refined(clip, _without_shape(segment)) for segment in segments]
+    return replace(clip, body=body, shape=FreeShape.of_body(body), solves_shape=False)
 
 
 def _without_shape(segment: SegmentFit) -> SegmentFit:

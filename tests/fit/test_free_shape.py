@@ -9,7 +9,7 @@ import pytest
 
 from recon import load_skeleton
 from recon.animal.prior import prior_from_body
-from recon.fit import constants
+from recon.fit import constants, trajectory
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.prediction import predicted_keypoints
 from recon.fit.result import TrajectorySolution
@@ -69,6 +69,16 @@ def test_body_has_the_estimated_lengths():
     assert length["l_shank"] != pytest.approx(nominal["l_shank"], rel=1e-3)
     assert BODY.keypoint_offset_m == {}
     assert set(free.body.keypoint_offset_m) == set(BODY.markers)
+
+
+def test_a_long_clip_has_the_shape_of_a_part(monkeypatch):
+    monkeypatch.setattr(trajectory, "SHAPE_S", 0.5 * len(TRUE_M) / FPS)
+    options = TrajectoryOptions(fast=True)
+    of_part = solve_trajectory(VIEWS[:3], BODY, prior_from_body(BODY), FPS, options)
+    assert of_part.shape is not None
+    assert of_part.body != solved(3, False).body
+    assert pose_error_m(of_part) < 0.8 * pose_error_m(solved(3, True))
+    assert coordinate_coverage(of_part.joints_m - TRUE_M, of_part.covariance_m2, 0.9) > 0.85
 
 
 def test_lengths_are_within_their_intervals():
