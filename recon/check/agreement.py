@@ -23,7 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.check.codes import EFFECTS, by_effect, finding
+from recon.check.codes import by_effect, finding
+from recon.check.likelihood import effects_m
 from recon.check.sights import (
     MIN_POINTS,
     PointsOf,
@@ -130,8 +131,10 @@ def agreement_findings(
     left_out = [v for v in range(len(views)) if agreeing and v not in agreeing]
     wrong = [v for v in left_out if comparisons[v]["level"] > limit or _gain(comparisons[v]) >= CLEAR_GAIN]
     if wrong:
+        # The effect is measured on the fit, which also knows the body and estimates small time offsets. The rays of two
+        # remaining cameras may hardly determine a triangulated point.
         kept = [view for v, view in enumerate(views) if v not in wrong]
-        effect = {} if fitted is None else _effect_on_fit(motion.solution.joints_m[rows], fitted(kept).joints_m)
+        effect = {} if fitted is None else effects_m(motion.solution.joints_m[rows], fitted(kept).joints_m)
         for v in wrong:
             comparison = comparisons[v]
             offset_s = motion.sources[v].offset_s + comparison["late_frames"] / fps
@@ -200,7 +203,7 @@ def swaps_by_effect(findings: Sequence[Finding], motion: Motion, fitted: Fitted)
             around = slice(max(first - _FRAMES_BESIDE_SWAP, 0), stop + _FRAMES_BESIDE_SWAP)
             joints_m = fitted([view.part(around) for view in exchanged_back]).joints_m
             inside = slice(first - around.start, stop - around.start)
-            effect = _effect_on_fit(motion.solution.joints_m[first:stop], joints_m[inside])
+            effect = effects_m(motion.solution.joints_m[first:stop], joints_m[inside])
             item = by_effect(replace(item, numbers=item.numbers | effect), motion.trunk_m)
         weighed.append(item)
     return tuple(weighed)
@@ -214,21 +217,6 @@ def _without_swaps(motion: Motion, swaps: Sequence[Finding]) -> list[View]:
         v, rows = names.index(str(swap.camera)), slice(*np.searchsorted(motion.frames, swap.frames or ()))
         views[v] = replace(views[v], **with_exchanged_names(views[v], rows, swap.names("keypoints"), motion.body))
     return views
-
-
-def _effect_on_fit(joints_m: Array, others_m: Array) -> dict[str, float]:
-    """Return the mean differences (`EFFECTS`), m, between the joints (T, J, 3) of two fits; NaN without common frames.
-
-    The effect of a camera is measured on the fit, not on triangulated points. The fit also knows the body and estimates
-    small time offsets, and two cameras that remain may stand so that their rays hardly determine a point.
-    """
-    apart_m = joints_m - others_m
-    apart_m = apart_m[np.isfinite(apart_m).all(axis=(1, 2))]
-    if not len(apart_m):
-        return dict.fromkeys(EFFECTS, np.nan)
-    middle_m = apart_m.mean(axis=1, keepdims=True)
-    lengths_m = (float(np.linalg.norm(vectors_m, axis=-1).mean()) for vectors_m in (apart_m - middle_m, middle_m))
-    return dict(zip(EFFECTS, lengths_m, strict=True))
 
 
 def _compare_with_agreeing(

@@ -132,7 +132,7 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
         refits[farther] = _refit(clip, states, noise_px[None, rows], farther)
     highest = min(refit.cost for refit in refits.values()) + INSIDE_90
     end = farther if farther in refits and refits[farther].cost < highest else nearer
-    return replace(test, effects_m=effects_m(clip, refits[0.0].states, refits[end].states))
+    return replace(test, effects_m=effects_m(*(clip.markers(refits[at].states) for at in (0.0, end))))
 
 
 def assumed_lens_finding(
@@ -168,7 +168,8 @@ def assumed_lens_finding(
             part.views, part.body, part.prior, part.fps, part.options, ground_near_zero=part.ground_near_zero
         )
         if distorted.posed.all():
-            effects = effects_m(part, states, part.nominal(distorted.states, distorted.size))
+            other_states = part.nominal(distorted.states, distorted.size)
+            effects = effects_m(part.markers(states), part.markers(other_states))
     return finding("lens_assumed", hfov_deg=hfov_deg, **effects)
 
 

@@ -583,8 +583,9 @@ def _zooms(
         return
     zoomed = minimum(zoom)
     if exceeds_margin(ratio := as_given.cost - zoomed.cost):
-        numbers = {"log_likelihood_ratio": ratio, **effects_m(clip, as_given.states, zoomed.states)}
-        sight_m = clip.in_world(clip.markers(zoomed.states)).mean(axis=1) - view.centre_m
+        zoomed_m = clip.markers(zoomed.states)
+        numbers = {"log_likelihood_ratio": ratio, **effects_m(clip.markers(as_given.states), zoomed_m)}
+        sight_m = clip.in_world(zoomed_m).mean(axis=1) - view.centre_m
         numbers |= {"zoom": zoom, "distance_m": float(np.linalg.norm(sight_m, axis=-1).mean())}
         yield finding("picture_zooms", None, None, way="in" if zoom > 0 else "out", **numbers)
 
@@ -682,7 +683,7 @@ def frame_rate_finding(
     if is_unknown or gain < (EXAMINED_GAIN if thin_gain > EXAMINED_GAIN else CERTAIN_GAIN):
         return None
     numbers: dict[str, Any] = {"given_hz": clip.fps, "other_hz": clip.fps * factor, "log_likelihood_ratio": gain}
-    numbers |= effects_m(clip, as_stated[1].states, rescaled[1].states)
+    numbers |= effects_m(*(clip.markers(estimate.states) for _, estimate in (as_stated, rescaled)))
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)
@@ -692,12 +693,16 @@ def frame_rate_finding(
     return by_effect(item, trunk_m, is_gross=True)
 
 
-def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
+def effects_m(points_m: Array, other_points_m: Array) -> dict[str, float]:
     """Return the mean differences (m) between two motions in the pose and in the position (`EFFECTS`).
 
-    The pose is the markers relative to their mean, and the position is this mean.
+    The motions are given by their points (T, J, 3), m. The pose is the points relative to their mean, and the position
+    is this mean. Frames that one motion lacks do not count; without common frames, both differences are NaN.
     """
-    apart_m = clip.markers(states) - clip.markers(other_states)
+    apart_m = points_m - other_points_m
+    apart_m = apart_m[np.isfinite(apart_m).all(axis=(1, 2))]
+    if not len(apart_m):
+        return dict.fromkeys(EFFECTS, np.nan)
     middle_m = apart_m.mean(axis=1, keepdims=True)
     lengths_m = (np.linalg.norm(vectors_m, axis=-1).mean() for vectors_m in (apart_m - middle_m, middle_m))
     return dict(zip(EFFECTS, map(float, lengths_m), strict=True))
